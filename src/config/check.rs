@@ -256,6 +256,13 @@ fn rig(
         .scene
         .as_ref()
         .and_then(|t| scene::scene(t, &rig, problems));
+    let scattering = medium
+        .as_ref()
+        .and_then(|m| m.surface.as_ref()?.scattering.as_ref());
+    let of_surface = scattering.and_then(|_| match scene.as_ref()?.seabed.as_ref() {
+        Some(seabed) => Some(seabed.density),
+        None => density::auto(&rig, None, true),
+    });
     if let (Some(nav), Some(t)) = (&nav, table.scene.as_ref()) {
         refuse_anchor_without_position(nav, t, problems);
     }
@@ -271,9 +278,14 @@ fn rig(
     refuse_port_clashes(&listeners, problems);
     refuse_recordings_without_folder(table, problems);
 
+    let mut medium = medium?;
+    let surface = medium.surface.as_mut().and_then(|s| s.scattering.as_mut());
+    if let (Some(scattering), Some(density)) = (surface, of_surface) {
+        scattering.density = density;
+    }
     Some(RigSpec {
         source_text: text.to_owned(),
-        medium: medium?,
+        medium,
         nav: nav?,
         scene: scene?,
         run: run?,
@@ -381,6 +393,12 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
             .map(|db_per_m| AbsorptionSpec::Fixed { db_per_m }),
         _ => None,
     };
+    let surface = table.surface.given_and_then(surface);
+    let multipath = table.multipath.given_and_then(multipath);
+    if table.multipath.given && table.profile.given {
+        let rule = "not with [medium.profile]: reflected echoes need water of one sound speed";
+        problems.refuse(&table.multipath, rule);
+    }
     let profile = profile?;
     let sound_speed_m_per_s = match &profile {
         Some(profile) => profile.range_m_per_s().0,
@@ -390,6 +408,36 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
         sound_speed_m_per_s,
         profile: profile.map(Arc::new),
         absorption: absorption?,
+        surface: surface?,
+        multipath: multipath?,
+    })
+}
+
+/// The sea surface. The density of its scatterers follows when the sonars are known.
+fn surface(table: &keys::Surface) -> Option<SurfaceSpec> {
+    let scattering = match table.scattering.get()? {
+        true => Some(SurfaceScatteringSpec {
+            density: Density::PerM2(1.0),
+            correlation_time_s: table.correlation_time_ms.get()?,
+        }),
+        false => None,
+    };
+    Some(SurfaceSpec {
+        wind_m_per_s: table.wind_m_per_s.get()?,
+        roughness_m: table.roughness_m.if_given()?,
+        slope_rad: table.slope_deg.if_given()?,
+        down_m: table.down_m.get()?,
+        scattering,
+    })
+}
+
+fn multipath(table: &keys::Multipath) -> Option<MultipathSpec> {
+    Some(MultipathSpec {
+        surface_bottom: table.legs.text()? == "surface-bottom",
+        bottom_density_ratio: table.bottom_density_ratio.if_given()?,
+        bottom_speed_ratio: table.bottom_speed_ratio.if_given()?,
+        bottom_roughness_m: table.bottom_roughness_m.if_given()?,
+        bottom_slope_rad: table.bottom_slope_deg.get()?,
     })
 }
 

@@ -156,6 +156,12 @@ table! {
     /// Sound speed over depth, which bends the sound. Left out: one sound speed everywhere.
     profile: Table(Profile), Optional("");
 
+    /// The sea surface. Left out: calm, and it scatters nothing.
+    surface: Table(Surface), Optional("");
+
+    /// Echoes by way of the surface and the bottom. Left out: direct echoes only. Not with a profile.
+    multipath: Table(Multipath), Optional("");
+
     /// "francois-garrison": Francois and Garrison 1982. "ainslie-mccolm": Ainslie and McColm 1998. "none": no absorption. Or a fixed one-way
     /// value: { db_per_km = 30.0 }.
     absorption: ChoiceOrTable(FixedAbsorption: "francois-garrison", "ainslie-mccolm", "none"; later "thorp"), Default("\"francois-garrison\"");
@@ -180,6 +186,50 @@ table! {
 
     /// Depth in metres below the waterline and sound speed in m/s, the shallowest point first: 2 to 1000 points, the first at most 10 m deep.
     points: Rows("depth_m, m_per_s"), Optional("[[0.0, 1500.0], [20.0, 1480.0]]");
+}
+
+table! {
+    /// The sea surface.
+    Surface;
+
+    /// Wind speed at a height of 10 m: height, slopes and bubbles of the surface.
+    wind_m_per_s: Number(from(0.0, 40.0)), Default("0.0");
+
+    /// Rms height. Default: 0.0053 times the square of the wind speed.
+    roughness_m: Number(from(0.0, 10.0)), Optional("0.1");
+
+    /// Rms slope of the facets. Default: by the wind (APL-UW TR 9407).
+    slope_deg: Degrees(from(0.1, 20.0)), Optional("6.0");
+
+    /// Depth of the mean surface below the world's vertical origin.
+    down_m: Number(from(-100.0, 100.0)), Default("0.0");
+
+    /// The surface itself scatters, by the wind (APL-UW TR 9407).
+    scattering: Bool, Default("false");
+
+    /// Time in which the scattering of the surface changes. Only with scattering = true.
+    correlation_time_ms: Ms(above(0.0, 1.0e6)), Default("100.0"), only with scattering = true;
+}
+
+table! {
+    /// Echoes by way of the surface and the bottom.
+    Multipath;
+
+    /// Ways of the sound between a scatterer and the sonar besides the direct one. "surface": by the surface. "surface-bottom": also up to the surface and
+    /// down to the bottom, which gives the second bottom echo.
+    legs: Choice("surface", "surface-bottom"), Default("\"surface-bottom\"");
+
+    /// Density of the bottom relative to the water's. Default: that of the sediment in scene.seabed.bottom, else of sand.
+    bottom_density_ratio: Number(from(0.1, 10.0)), Optional("1.845");
+
+    /// Sound speed of the bottom relative to the water's. Default: as above.
+    bottom_speed_ratio: Number(from(0.1, 10.0)), Optional("1.178");
+
+    /// Rms height of the bottom, waves longer than a metre aside. Default: as above.
+    bottom_roughness_m: Number(from(0.0, 1.0)), Optional("0.008");
+
+    /// Rms slope of the bottom's facets.
+    bottom_slope_deg: Degrees(from(0.1, 20.0)), Default("5.0");
 }
 
 table! {

@@ -74,6 +74,49 @@ pub struct MediumSpec {
     pub profile: Option<Arc<SoundSpeedProfile>>,
     /// Absorption law or value.
     pub absorption: AbsorptionSpec,
+    /// The sea surface; `None`: calm, and it scatters nothing.
+    pub surface: Option<SurfaceSpec>,
+    /// Echoes by way of surface and bottom, if they are computed.
+    pub multipath: Option<MultipathSpec>,
+}
+
+/// The sea surface.
+#[derive(Clone, Debug)]
+pub struct SurfaceSpec {
+    /// Wind speed at a height of 10 m, m/s.
+    pub wind_m_per_s: f64,
+    /// Rms height, metres, if not by the wind.
+    pub roughness_m: Option<f64>,
+    /// Rms slope, radians, if not by the wind.
+    pub slope_rad: Option<f64>,
+    /// Depth of the mean surface below the world's vertical origin, metres.
+    pub down_m: f64,
+    /// How it scatters, if it does.
+    pub scattering: Option<SurfaceScatteringSpec>,
+}
+
+/// Scattering by the sea surface.
+#[derive(Clone, Debug)]
+pub struct SurfaceScatteringSpec {
+    /// Number of scatterers per area.
+    pub density: Density,
+    /// Time in which it changes, seconds.
+    pub correlation_time_s: f64,
+}
+
+/// Echoes by way of the surface and the bottom. Ratios and roughness of the bottom that are not given follow from its sediment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MultipathSpec {
+    /// Also up to the surface and down to the bottom.
+    pub surface_bottom: bool,
+    /// Density relative to the water's.
+    pub bottom_density_ratio: Option<f64>,
+    /// Sound speed relative to the water's.
+    pub bottom_speed_ratio: Option<f64>,
+    /// Rms height of the bottom, metres.
+    pub bottom_roughness_m: Option<f64>,
+    /// Rms slope of the bottom's facets, radians.
+    pub bottom_slope_rad: f64,
 }
 
 /// Absorption law.

@@ -37,6 +37,23 @@ pub fn summary(rig: &RigSpec) -> String {
     text
 }
 
+/// What surface and bottom do, if anything.
+fn boundaries(medium: &MediumSpec) -> Option<String> {
+    let echoes = medium.multipath.as_ref().map(|multipath| {
+        let second = match multipath.surface_bottom {
+            true => " and by surface and bottom",
+            false => "",
+        };
+        format!("echoes by the surface{second}")
+    });
+    let surface = medium.surface.as_ref();
+    let scattering = surface.filter(|surface| surface.scattering.is_some());
+    let scattering = scattering.map(|_| "the surface scatters".to_owned());
+    let wind = surface.map(|surface| format!("wind {} m/s", surface.wind_m_per_s));
+    let words: Vec<_> = [wind, scattering, echoes].into_iter().flatten().collect();
+    (!words.is_empty()).then(|| words.join(", "))
+}
+
 fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
     let c = rig.medium.sound_speed_m_per_s;
     let absorption = match rig.medium.absorption {
@@ -58,6 +75,9 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         }
     };
     line(out, "medium", &format!("{speed}, absorption {absorption}"))?;
+    if let Some(words) = boundaries(&rig.medium) {
+        line(out, "boundaries", &words)?;
+    }
     let mode = match rig.nav.mode {
         NavMode::Settle => "settle: pings wait for measurements on both sides",
         NavMode::Predict => "predict: pings are extrapolated to",

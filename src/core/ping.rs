@@ -155,6 +155,10 @@ pub struct SceneCounts {
     pub points: u64,
     /// Targets passed on.
     pub targets: u64,
+    /// Scatterers of the sea surface passed on; not included in `scatterers`.
+    pub surface: u64,
+    /// Echoes by way of surface or bottom passed on; not included in `scatterers`.
+    pub images: u64,
 }
 
 /// Counts of one pass over the scatterers, in pairs of scatterer and element.

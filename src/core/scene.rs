@@ -68,11 +68,43 @@ pub struct Scatterers {
     pub strength: Vec<Complex64>,
     /// Directional law.
     pub law: Vec<ScatterLaw>,
-    /// Factor, 1 or more, that lowers the pattern floor ([`ModelChoice::cull_db`](crate::model::ModelChoice::cull_db)) for a
-    /// scatterer stronger than the seabed.
+    /// Factor that lowers the pattern floor ([`ModelChoice::cull_db`](crate::model::ModelChoice::cull_db)) for a scatterer
+    /// stronger than the seabed, and raises it for a reflected echo.
     pub loud: Vec<f32>,
     /// Curve of scatterers with [`ScatterLaw::Curve`]. Without a curve their pressure is zero.
     pub curve: Option<Arc<LawCurve>>,
+    /// Transmit points; empty where every scatterer is its own.
+    pub transmit: TransmitPoints,
+    /// Number of the last scatterers that are not of the scene: the sea surface and reflected echoes.
+    pub appended: usize,
+}
+
+/// Points to which the transmit legs lead, for echoes whose two legs differ: the positions of the scatterers are then those of the
+/// receive legs. As many as there are scatterers, or none.
+#[derive(Clone, Debug, Default)]
+pub struct TransmitPoints {
+    /// World north, metres.
+    pub north_m: Vec<f64>,
+    /// World east, metres.
+    pub east_m: Vec<f64>,
+    /// World down, metres.
+    pub down_m: Vec<f64>,
+    /// Outward unit normal as the transmit leg sees it, world axes.
+    pub normal: Vec<[f32; 3]>,
+}
+
+impl TransmitPoints {
+    /// Whether every scatterer is its own transmit point.
+    pub fn is_empty(&self) -> bool {
+        self.north_m.is_empty()
+    }
+
+    fn truncate(&mut self, len: usize) {
+        self.north_m.truncate(len);
+        self.east_m.truncate(len);
+        self.down_m.truncate(len);
+        self.normal.truncate(len);
+    }
 }
 
 impl Scatterers {
@@ -97,6 +129,98 @@ impl Scatterers {
         self.strength.truncate(len);
         self.law.truncate(len);
         self.loud.truncate(len);
+        self.transmit.truncate(len);
+    }
+    /// Number of scatterers of the scene, the first ones.
+    pub fn of_scene(&self) -> usize {
+        self.len().saturating_sub(self.appended)
+    }
+    /// Removes what was appended to the scatterers of the scene.
+    pub fn truncate_to_scene(&mut self) {
+        self.truncate(self.of_scene());
+        self.transmit.truncate(0);
+        self.appended = 0;
+    }
+    /// Appends scatterers that are not of the scene. Where they have transmit points, the others become their own.
+    pub fn append(&mut self, more: &Self) {
+        if !more.transmit.is_empty() && self.transmit.is_empty() {
+            self.transmit.north_m.extend_from_slice(&self.north_m);
+            self.transmit.east_m.extend_from_slice(&self.east_m);
+            self.transmit.down_m.extend_from_slice(&self.down_m);
+            self.transmit.normal.extend_from_slice(&self.normal);
+        }
+        if !self.transmit.is_empty() {
+            let own = more.transmit.is_empty();
+            let [north_m, east_m, down_m] = match own {
+                true => [&more.north_m, &more.east_m, &more.down_m],
+                false => [
+                    &more.transmit.north_m,
+                    &more.transmit.east_m,
+                    &more.transmit.down_m,
+                ],
+            };
+            let normal = if own {
+                &more.normal
+            } else {
+                &more.transmit.normal
+            };
+            self.transmit.north_m.extend_from_slice(north_m);
+            self.transmit.east_m.extend_from_slice(east_m);
+            self.transmit.down_m.extend_from_slice(down_m);
+            self.transmit.normal.extend_from_slice(normal);
+        }
+        self.north_m.extend_from_slice(&more.north_m);
+        self.east_m.extend_from_slice(&more.east_m);
+        self.down_m.extend_from_slice(&more.down_m);
+        self.normal.extend_from_slice(&more.normal);
+        self.strength.extend_from_slice(&more.strength);
+        self.law.extend_from_slice(&more.law);
+        self.loud.extend_from_slice(&more.loud);
+        self.appended += more.len();
+    }
+    /// Appends a copy of scatterer `i` of others, with `factor` on its strength. Those before it must have transmit points where it has one.
+    pub fn push_copy(&mut self, others: &Self, i: usize, factor: f64) {
+        let strength = others.strength[i] * factor;
+        self.push(
+            others.position_m(i),
+            others.normal[i],
+            strength,
+            others.law[i],
+        );
+        if let Some(loud) = self.loud.last_mut() {
+            *loud = others.loud[i];
+        }
+        if !others.transmit.is_empty() {
+            self.push_transmit(others.transmit_m(i), others.transmit_normal(i));
+        }
+    }
+    /// Appends the transmit point of the last scatterer.
+    pub fn push_transmit(&mut self, position_m: DVec3, normal: [f32; 3]) {
+        self.transmit.north_m.push(position_m.x);
+        self.transmit.east_m.push(position_m.y);
+        self.transmit.down_m.push(position_m.z);
+        self.transmit.normal.push(normal);
+    }
+    /// Transmit point of scatterer `i`, world, metres.
+    pub fn transmit_m(&self, i: usize) -> DVec3 {
+        let TransmitPoints {
+            north_m,
+            east_m,
+            down_m,
+            ..
+        } = &self.transmit;
+        match north_m.is_empty() {
+            true => self.position_m(i),
+            false => DVec3::new(north_m[i], east_m[i], down_m[i]),
+        }
+    }
+    /// Normal of scatterer `i` as its transmit leg sees it.
+    pub fn transmit_normal(&self, i: usize) -> [f32; 3] {
+        let normals = match self.transmit.is_empty() {
+            true => &self.normal,
+            false => &self.transmit.normal,
+        };
+        normals[i]
     }
     /// Copies scatterer `from` over scatterer `to`.
     pub fn copy_within(&mut self, from: usize, to: usize) {
@@ -107,8 +231,14 @@ impl Scatterers {
         self.strength[to] = self.strength[from];
         self.law[to] = self.law[from];
         self.loud[to] = self.loud[from];
+        if !self.transmit.is_empty() {
+            self.transmit.north_m[to] = self.transmit.north_m[from];
+            self.transmit.east_m[to] = self.transmit.east_m[from];
+            self.transmit.down_m[to] = self.transmit.down_m[from];
+            self.transmit.normal[to] = self.transmit.normal[from];
+        }
     }
-    /// Changes the number of scatterers; new ones have zero strength.
+    /// Changes the number of scatterers; new ones have zero strength. Not for scatterers with transmit points.
     pub fn resize(&mut self, len: usize) {
         self.north_m.resize(len, 0.0);
         self.east_m.resize(len, 0.0);

@@ -123,7 +123,12 @@ fn sensor_state(rig: &Rig, sonar: usize, nav: &mut NavState) -> SensorState {
 /// The scatterers within the footprints of the ping's arrays, where its water shows them.
 pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let unit = &mut rig.sonars[sonar];
+    rig.scatterers.truncate_to_scene();
     let footprints = unit.pipeline.footprints(&slot.plan);
+    let footprints = match &mut rig.multipath {
+        Some(multipath) => multipath.widen(&slot.plan, footprints),
+        None => footprints,
+    };
     slot.output.scene = rig.scene.gather(footprints, &mut rig.scatterers);
     if let Some((stage, view)) = &mut unit.simplify {
         view::view(&unit.spec, &slot.plan, view);
@@ -132,7 +137,9 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
         rig.simplify_counts = stage.thin(&mut rig.scatterers, seabed, view);
     }
     let mut scatterers = std::mem::take(&mut rig.scatterers);
+    slot.output.scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
     slot.output.scene.unreached = rig.bend(&slot.plan, &mut scatterers);
+    slot.output.scene.images = rig.add_images(&slot.plan, &mut scatterers);
     rig.scatterers = scatterers;
     let unit = &mut rig.sonars[sonar];
     let finder = &mut unit.range_floors;

@@ -79,10 +79,11 @@ pub fn speedup(threads: usize) -> f64 {
 
 fn gather(scene: &SceneCounts) -> Work {
     let tested = scene.culled + scene.shadowed + scene.scatterers;
+    let passed_on = scene.scatterers + scene.surface + scene.images;
     Work::of(Figure::Tile, scene.tiles_used as f64)
         .and(Figure::Made, scene.made as f64)
         .and(Figure::Tested, tested as f64)
-        .and(Figure::Gathered, scene.scatterers as f64)
+        .and(Figure::Gathered, passed_on as f64)
 }
 
 fn receiver(sonar: &SonarSpec, plan: &PingPlan) -> Work {

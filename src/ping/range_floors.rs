@@ -158,7 +158,7 @@ impl RangeFloorFinder {
         let array_from_world = from_world(array.mounting.body_from_array);
         let transmit_m = pose.point_m(transmit.mounting.position_m);
         let receive_m = pose.point_m(array.element_body_m(array.elements / 2));
-        let bin_of = |i: usize| (scatterers.position_m(i).distance(transmit_m) * per_m) as usize;
+        let bin_of = |i: usize| (half_path_m(scatterers, i, transmit_m) * per_m) as usize;
         self.counts.fill(0);
         for i in 0..scatterers.len() {
             if let Some(count) = self.counts.get_mut(bin_of(i)) {
@@ -174,22 +174,25 @@ impl RangeFloorFinder {
         self.energies.fill([0.0; LEVELS]);
         let curve = scatterers.curve.as_deref();
         for i in 0..scatterers.len() {
-            let place_m = scatterers.position_m(i);
-            let (out_m, back_m) = (place_m - transmit_m, place_m - receive_m);
-            let (out_range_m, back_range_m) = (out_m.length(), back_m.length());
-            let bin = (out_range_m * per_m) as usize;
-            if bin >= BINS || out_range_m == 0.0 || back_range_m == 0.0 {
+            let bin = bin_of(i);
+            if bin >= BINS {
                 continue;
             }
             let mut weight = 1.0;
-            // Points and targets are few and may be strong: all are looked at.
-            if scatterers.law[i] != ScatterLaw::Point {
+            // Targets and points that are stronger than the ground are all looked at.
+            if scatterers.loud[i] <= 1.0 {
                 let number = self.counts[bin];
                 self.counts[bin] += 1;
                 if number % self.strides[bin] != 0 {
                     continue;
                 }
                 weight = self.strides[bin] as f64;
+            }
+            let out_m = scatterers.transmit_m(i) - transmit_m;
+            let back_m = scatterers.position_m(i) - receive_m;
+            let (out_range_m, back_range_m) = (out_m.length(), back_m.length());
+            if out_range_m == 0.0 || back_range_m == 0.0 {
+                continue;
             }
             let (out, back) = (out_m / out_range_m, back_m / back_range_m);
             let towards = |pattern: &Directivity, turn: &DMat3, ray: DVec3| {
@@ -198,14 +201,17 @@ impl RangeFloorFinder {
             };
             let level = towards(&sent, &transmit_from_world, out)
                 * towards(&received, &array_from_world, back);
-            let normal = DVec3::from(scatterers.normal[i].map(f64::from));
-            let facing = |ray: DVec3| (-normal.dot(ray)).clamp(0.0, 1.0);
+            let facing = |normal: [f32; 3], ray: DVec3| {
+                (-DVec3::from(normal.map(f64::from)).dot(ray)).clamp(0.0, 1.0)
+            };
+            let facing_out = facing(scatterers.transmit_normal(i), out);
+            let facing_back = facing(scatterers.normal[i], back);
             let law = match scatterers.law[i] {
                 ScatterLaw::Point => 1.0,
-                ScatterLaw::Lambert => (facing(out) * facing(back)).sqrt(),
-                ScatterLaw::LambertOneWay => facing(out),
+                ScatterLaw::Lambert => (facing_out * facing_back).sqrt(),
+                ScatterLaw::LambertOneWay => facing_out,
                 ScatterLaw::Curve => curve.map_or(0.0, |curve| {
-                    curve.half(facing(out).sqrt()) * curve.half(facing(back).sqrt())
+                    curve.half(facing_out.sqrt()) * curve.half(facing_back.sqrt())
                 }),
             };
             let loss = one_way.amplitude(out_range_m) * one_way.amplitude(back_range_m);
@@ -235,6 +241,15 @@ impl RangeFloorFinder {
             let level = libm::exp10(-STEP_DB / 20.0 * first_culled as f64) as f32;
             floors[k] = floors[k].min(level);
         }
+    }
+}
+
+/// Range by which the floor of a scatterer counts, metres: half the way to its transmit point and back from its receive point, both from the transmitter.
+pub(crate) fn half_path_m(scatterers: &Scatterers, i: usize, transmit_m: DVec3) -> f64 {
+    let out_m = scatterers.transmit_m(i).distance(transmit_m);
+    match scatterers.transmit.is_empty() {
+        true => out_m,
+        false => 0.5 * (out_m + scatterers.position_m(i).distance(transmit_m)),
     }
 }
 

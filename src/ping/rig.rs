@@ -8,9 +8,11 @@ use crate::PingOrder;
 use crate::faults::Faults;
 use crate::method_selection::costs::Costs;
 use crate::method_selection::live::MethodSelector;
+use crate::multipath::Multipath;
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
 use crate::range_floors::RangeFloorFinder;
+use crate::sea_surface::SurfaceSheet;
 use crate::world::{SceneSummary, SharedSceneSummary};
 use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
@@ -135,6 +137,10 @@ pub struct Rig {
     pub(crate) scatterers: Scatterers,
     /// With a sound-speed profile.
     pub(crate) virtual_points: Option<VirtualPoints>,
+    /// Where the sea surface scatters.
+    pub(crate) surface: Option<SurfaceSheet>,
+    /// Where surface and bottom reflect.
+    pub(crate) multipath: Option<Multipath>,
     pub(crate) simplify_counts: StageCounts,
 }
 
@@ -194,6 +200,8 @@ impl Rig {
             placed: false,
             world: SharedSceneSummary::default(),
             scatterers: Scatterers::default(),
+            surface: SurfaceSheet::open(files, spec)?,
+            multipath: Multipath::of(spec),
             virtual_points: spec.medium.profile.clone().map(VirtualPoints::new),
             simplify_counts: StageCounts::default(),
         })
@@ -330,8 +338,9 @@ impl Rig {
         tile: &mut PingSlot,
     ) -> bool {
         let unit = &mut self.sonars[sonar];
-        // A simplified scatterer can be nearer than each of the scatterers that it represents, and a virtual point nearer than its scatterer.
-        if unit.simplify.is_some() || slot.plan.refraction.is_some() {
+        // A simplified scatterer can be nearer than each of the scatterers that it represents, and a virtual point nearer than its scatterer. The scene
+        // does not hold the sea surface.
+        if unit.simplify.is_some() || slot.plan.refraction.is_some() || self.surface.is_some() {
             return false;
         }
         let pipeline = &mut unit.pipeline;

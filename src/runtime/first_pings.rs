@@ -301,8 +301,11 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             let mut areas = Vec::new();
             footprints(&spec, &slot.plan, &mut areas);
             let mut scatterers = Scatterers::default();
+            let areas = rig.widen(&slot.plan, &areas).to_vec();
             let mut scene = rig.scene.gather(&areas, &mut scatterers);
+            scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
             scene.unreached = rig.bend(&slot.plan, &mut scatterers);
+            scene.images = rig.add_images(&slot.plan, &mut scatterers);
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
             (slot.plan.clone(), scatterers, scene)
         };

@@ -124,6 +124,37 @@ pub(crate) fn preset(sediment: Sediment) -> Preset {
     }
 }
 
+/// A bottom as a fluid that reflects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReflectingBottom {
+    /// Density relative to that of the water.
+    pub density_ratio: f64,
+    /// Sound speed relative to that of the water.
+    pub speed_ratio: f64,
+    /// Ratio of the imaginary to the real part of the wavenumber.
+    pub loss: f64,
+    /// Rms height of all waves shorter than a metre, metres.
+    pub rms_m: f64,
+}
+
+/// The fluid of a bottom: of its sediment, or of sand where it has none.
+pub fn reflecting_bottom(bottom: Option<&BottomSpec>) -> ReflectingBottom {
+    let preset = preset(match bottom {
+        Some(BottomSpec::Sediment(sediment)) => *sediment,
+        _ => Sediment::Sand,
+    });
+    // Variance of a spectrum w_2 K^-3.25 (K in 1/cm) from the wavenumber of a metre on: 2 pi w_2 K^-1.25 / 1.25.
+    let longest_per_cm = std::f64::consts::TAU / 100.0;
+    let variance_cm2 =
+        std::f64::consts::TAU * preset.roughness_cm4 / 1.25 * libm::pow(longest_per_cm, -1.25);
+    ReflectingBottom {
+        density_ratio: preset.density_ratio,
+        speed_ratio: preset.speed_ratio,
+        loss: preset.loss,
+        rms_m: 0.01 * variance_cm2.sqrt(),
+    }
+}
+
 impl Preset {
     pub(crate) fn terms(&self) -> ThreeTerm {
         ThreeTerm {

@@ -14,7 +14,7 @@ const SEABED: u32 = 0x5EAB_ED02;
 
 /// Philox 4x32-10: four random words from a counter and a key.
 #[inline(always)]
-pub(crate) fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
+pub fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for _ in 0..ROUNDS {
         let a = u64::from(counter[0]) * u64::from(MULTIPLIERS[0]);
         let b = u64::from(counter[2]) * u64::from(MULTIPLIERS[1]);
@@ -70,13 +70,13 @@ pub(crate) fn rank(seed: u64, north: i64, east: i64) -> f64 {
 
 /// Uniform in [0, 1).
 #[inline(always)]
-pub(crate) fn fraction(word: u32) -> f64 {
+pub fn fraction(word: u32) -> f64 {
     f64::from(word) / 4_294_967_296.0
 }
 
 /// Circular Gaussian with E|z|^2 = 1 (Box and Muller 1958). Only IEEE operations, so that the bits are the same on every machine.
 #[inline(always)]
-pub(crate) fn circular_gaussian(a: u32, b: u32) -> Complex32 {
+pub fn circular_gaussian(a: u32, b: u32) -> Complex32 {
     // In (0, 1], so that the logarithm is finite.
     let u = (a as f32 + 0.5) * (1.0 / 4_294_967_296.0);
     let radius = (-ln(u)).max(0.0).sqrt();

@@ -2,13 +2,13 @@
 //!
 //! Input: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Output: [`Scatterers`] in world coordinates. The scene has an
 //! origin of its own. [`Scene::place`] moves that origin in the world. All data are made and kept in scene coordinates, so the seabed does not depend
-//! on where the scene lies. The crate opens no file. The caller passes [`Files`]. Not modelled: volume and surface scattering.
+//! on where the scene lies. The crate opens no file. The caller passes [`Files`]. Not modelled: volume scattering. The sea surface is a scene of its own, a plane (`echotank_ping`).
 
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod bottoms;
-mod draws;
+pub mod draws;
 mod gather;
 mod occlusion;
 pub mod paper;
@@ -31,6 +31,7 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
+pub use bottoms::{ReflectingBottom, reflecting_bottom};
 use echotank_config::spec::{AnchorSpec, SceneSpec, SeabedShape};
 use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, Scatterers, Target};
@@ -278,11 +279,11 @@ impl Scene {
 
     /// Fills `labels` with the target number of each scatterer of the last [`Scene::gather`]: 1 is the first target, 0 is no target.
     ///
-    /// Scatterers of targets come last.
+    /// Scatterers of targets come last. Those that are not of the scene have no label.
     pub fn target_of_each(&self, scatterers: &Scatterers, labels: &mut Vec<u16>) {
         labels.clear();
-        labels.resize(scatterers.len(), 0);
-        let first = scatterers.len().saturating_sub(self.target_rows.len());
+        labels.resize(scatterers.of_scene(), 0);
+        let first = labels.len().saturating_sub(self.target_rows.len());
         for (label, &row) in labels[first..].iter_mut().zip(&self.target_rows) {
             let number = self.own_targets.target_of(row) + 1;
             *label = u16::try_from(number).unwrap_or(u16::MAX);

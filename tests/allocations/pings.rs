@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use echotank_config::spec::Density;
+use echotank_config::spec::{Density, MultipathSpec, SurfaceSpec};
 use echotank_core::model::Synthesis;
 use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_ping::threads::pool;
@@ -13,6 +13,7 @@ use echotank_testing::pings::LoggedPings;
 fn allocations_per_ping(
     file: &str,
     profile: Option<Vec<(f64, f64)>>,
+    reflects: bool,
     threads: usize,
     count: usize,
     watched: usize,
@@ -25,6 +26,22 @@ fn allocations_per_ping(
         let profile = SoundSpeedProfile::new(points).expect("a good profile");
         spec.medium.sound_speed_m_per_s = profile.range_m_per_s().0;
         spec.medium.profile = Some(Arc::new(profile));
+    }
+    if reflects {
+        spec.medium.surface = Some(SurfaceSpec {
+            wind_m_per_s: 5.0,
+            roughness_m: None,
+            slope_rad: None,
+            down_m: 0.0,
+            scattering: None,
+        });
+        spec.medium.multipath = Some(MultipathSpec {
+            surface_bottom: true,
+            bottom_density_ratio: None,
+            bottom_speed_ratio: None,
+            bottom_roughness_m: None,
+            bottom_slope_rad: 0.1,
+        });
     }
     // A moving ship needs new tiles. A static scene shows the allocations of the ping only.
     spec.scene
@@ -58,14 +75,16 @@ fn allocations_per_ping(
 fn a_ping_allocates_nothing_after_warm_up() {
     let _alone = allocations::alone();
     for threads in [1, 2] {
-        let points = allocations_per_ping("points.toml", None, threads, 8, 4);
+        let points = allocations_per_ping("points.toml", None, false, threads, 8, 4);
         assert_eq!(points, [0; 4], "points, {threads} threads");
         let cast = vec![(0.0, 1500.0), (20.0, 1480.0), (60.0, 1485.0)];
-        let bent = allocations_per_ping("points.toml", Some(cast), threads, 8, 4);
+        let bent = allocations_per_ping("points.toml", Some(cast), false, threads, 8, 4);
         assert_eq!(bent, [0; 4], "points in a profile, {threads} threads");
+        let reflected = allocations_per_ping("points.toml", None, true, threads, 8, 4);
+        assert_eq!(reflected, [0; 4], "points and images, {threads} threads");
         // Over a seabed, new tiles appear as the ship moves, and a ping may have more scatterers than all before. Both rarely grow
         // a buffer, and nothing else allocates.
-        let seabed = allocations_per_ping("quickstart.toml", None, threads, 36, 20);
+        let seabed = allocations_per_ping("quickstart.toml", None, false, threads, 36, 20);
         let quiet = seabed.iter().filter(|&&n| n == 0).count();
         assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");
     }

@@ -7,6 +7,7 @@
 use glam::{DMat3, DVec3};
 
 use crate::method_selection::{MotionScale, fades};
+use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::PingPlan;
@@ -265,7 +266,9 @@ pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatter
                 ReceivingElement::new(spec, plan, transmit, (array, element), FEW_INSTANTS);
             let evenly = (0..scatterers.len()).step_by(stride);
             for i in evenly.chain(near.iter().copied()) {
-                let ray = receiver.ray(scatterers.position_m(i), plan.sound_speed_m_per_s);
+                let place_m = scatterers.position_m(i);
+                let sent_m = scatterers.transmit_m(i);
+                let ray = receiver.ray(sent_m, place_m, plan.sound_speed_m_per_s);
                 if ray.out_range_m + ray.back_range_m > heard_m {
                     continue;
                 }
@@ -450,8 +453,9 @@ impl ReceivingElement {
     }
 
     /// The way to a scatterer and back.
-    fn ray(&self, place_m: DVec3, c: f64) -> Ray {
-        let out_m = place_m - self.transmit_m;
+    /// `sent_m`: the place as the transmitter sees it.
+    fn ray(&self, sent_m: DVec3, place_m: DVec3, c: f64) -> Ray {
+        let out_m = sent_m - self.transmit_m;
         let out_range_m = out_m.length().max(f64::MIN_POSITIVE);
         let about_s = (out_range_m + place_m.distance(self.at[0].position_m)) / c;
         let instant = ((about_s / self.step_s) as usize).min(self.at.len() - 1);
@@ -548,7 +552,7 @@ impl ReceivingElement {
         for (i, weight) in sampled(scatterers, SAMPLE_SIZE) {
             let law = scatterers.law[i];
             let place_m = scatterers.position_m(i);
-            let ray = self.ray(place_m, plan.sound_speed_m_per_s);
+            let ray = self.ray(scatterers.transmit_m(i), place_m, plan.sound_speed_m_per_s);
             let (out, back) = (ray.out, ray.back);
             let at = &self.at[ray.instant];
             let begins = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s / part_s;
@@ -561,20 +565,23 @@ impl ReceivingElement {
             };
             let level = towards(&self.transmit_leg, &self.transmit_from_world, out)
                 * towards(&self.element, &at.array_from_world, back);
-            let floor = plan.range_floors.at(floor, ray.out_range_m);
+            let floor = plan
+                .range_floors
+                .at(floor, half_path_m(scatterers, i, self.transmit_m));
             if level.abs() * f64::from(scatterers.loud[i]) < floor {
                 continue;
             }
-            let [a, b, c] = scatterers.normal[i].map(f64::from);
-            let normal = DVec3::new(a, b, c);
-            let facing = |ray: DVec3| (-normal.dot(ray)).max(0.0);
+            let facing = |normal: [f32; 3], ray: DVec3| {
+                (-DVec3::from_array(normal.map(f64::from)).dot(ray)).max(0.0)
+            };
+            let facing_out = facing(scatterers.transmit_normal(i), out);
+            let facing_back = facing(scatterers.normal[i], back);
             let law = match law {
                 ScatterLaw::Point => 1.0,
-                ScatterLaw::Lambert => (facing(out) * facing(back)).sqrt(),
-                ScatterLaw::LambertOneWay => facing(out),
+                ScatterLaw::Lambert => (facing_out * facing_back).sqrt(),
+                ScatterLaw::LambertOneWay => facing_out,
                 ScatterLaw::Curve => curve.map_or(0.0, |curve| {
-                    curve.half(facing(out).sqrt().min(1.0))
-                        * curve.half(facing(back).sqrt().min(1.0))
+                    curve.half(facing_out.sqrt().min(1.0)) * curve.half(facing_back.sqrt().min(1.0))
                 }),
             };
             let amplitude = level
@@ -633,13 +640,15 @@ pub(crate) fn kept_shares(
         let pairs = array.elements as f64;
         for i in (0..scatterers.len()).step_by(stride) {
             let place_m = scatterers.position_m(i);
-            let out_m = place_m - receiver.transmit_m;
+            let out_m = scatterers.transmit_m(i) - receiver.transmit_m;
             let out = receiver.transmit_from_world * out_m.normalize_or_zero();
             let back = at.array_from_world * (place_m - at.position_m).normalize_or_zero();
             let loud = f64::from(scatterers.loud[i]);
             let sent = (receiver.transmit_leg.towards(out.x, out.y, out.z) * loud).abs();
             let level = (sent * receiver.element.towards(back.x, back.y, back.z)).abs();
-            let floor = plan.range_floors.at(floor, out_m.length());
+            let floor = plan
+                .range_floors
+                .at(floor, half_path_m(scatterers, i, receiver.transmit_m));
             all += pairs;
             transmit_leg += if sent >= floor { pairs } else { 0.0 };
             kept += if level >= floor { pairs } else { 0.0 };

@@ -153,11 +153,7 @@ pub fn sample(all: &Scatterers) -> Scatterers {
         ..Scatterers::default()
     };
     for (i, stands_for) in echo_statistics::sampled(all, echo_statistics::SAMPLE_SIZE) {
-        let strength = all.strength[i] * stands_for.sqrt();
-        some.push(all.position_m(i), all.normal[i], strength, all.law[i]);
-        if let Some(loud) = some.loud.last_mut() {
-            *loud = all.loud[i];
-        }
+        some.push_copy(all, i, stands_for.sqrt());
     }
     some
 }

@@ -15,6 +15,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
 use crate::method_selection::echo_statistics::sampled;
+use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::PathModel;
@@ -236,7 +237,7 @@ impl<'a> Line<'a> {
         for (i, weight) in sampled(scatterers, AMONG) {
             let law = scatterers.law[i];
             let place_m = scatterers.position_m(i);
-            let out_m = place_m - self.transmit_m;
+            let out_m = scatterers.transmit_m(i) - self.transmit_m;
             let out_range_m = out_m.length().max(f64::MIN_POSITIVE);
             let back_m = place_m - here_m;
             let delay_s = (out_range_m + back_m.length()) / self.c;
@@ -248,13 +249,16 @@ impl<'a> Line<'a> {
             let sent = self.transmit_leg.towards(out.x, out.y, out.z);
             let received = self.element.towards(back.x, back.y, back.z);
             let level = (sent * received).abs();
-            let floor = plan.range_floors.at(self.floor, out_range_m);
+            let floor = plan
+                .range_floors
+                .at(self.floor, half_path_m(scatterers, i, self.transmit_m));
             if level == 0.0 || level * f64::from(scatterers.loud[i]) < floor {
                 continue;
             }
-            let [a, b, c] = scatterers.normal[i].map(f64::from);
-            let normal = DVec3::new(a, b, c);
-            let cosine = (-normal.dot(out_m) / out_range_m).max(0.0);
+            let vector = |n: [f32; 3]| DVec3::from_array(n.map(f64::from));
+            let normal = vector(scatterers.normal[i]);
+            let sent_normal = vector(scatterers.transmit_normal(i));
+            let cosine = (-sent_normal.dot(out_m) / out_range_m).max(0.0);
             let law_out = match law {
                 ScatterLaw::Point => 1.0,
                 ScatterLaw::Lambert => cosine.sqrt(),

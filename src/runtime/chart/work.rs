@@ -140,12 +140,7 @@ fn only(all: &Scatterers, keep: impl Fn(usize, glam::DVec3) -> bool) -> Scattere
     for k in 0..all.len() {
         let place_m = glam::DVec3::new(all.north_m[k], all.east_m[k], all.down_m[k]);
         if keep(k, place_m) {
-            some.north_m.push(all.north_m[k]);
-            some.east_m.push(all.east_m[k]);
-            some.down_m.push(all.down_m[k]);
-            some.normal.push(all.normal[k]);
-            some.strength.push(all.strength[k]);
-            some.law.push(all.law[k]);
+            some.push_copy(all, k, 1.0);
         }
     }
     some

@@ -9,10 +9,11 @@
 //! [`reference()`](reference::reference) is the slow reference solution. It computes samples itself
 //! and shares only the sonar equation with the other methods.
 //!
-//! [`rays`] bends the sound: it replaces scatterers by the points where the array sees them. Not modelled: multipath and volume reverberation. The scene resolves occlusion
+//! [`rays`] bends the sound: it replaces scatterers by the points where the array sees them. [`boundaries`] holds what surface and bottom reflect and scatter. Not modelled: volume reverberation. The scene resolves occlusion
 //! before the echo model receives the scatterers.
 
 pub mod absorption;
+pub mod boundaries;
 pub mod culling;
 mod elementary;
 pub mod error_models;

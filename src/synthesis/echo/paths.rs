@@ -17,6 +17,9 @@
 //!     = (q - D.v) / (c^2 - v^2)    D.v <  0
 //! ```
 //!
+//! Where an echo is reflected on one leg, S is the mirror image that the receiver sees, and r_T leads to the one that the
+//! transmitter sees.
+//!
 //! This is the root of Meng et al. 2023, Eqs. 5-7 (there with v in the denominator). It is valid
 //! for every |v| < c, including v = 0 and D = 0.
 
@@ -457,14 +460,19 @@ fn min_max(values: &[f64]) -> (f64, f64) {
     )
 }
 
-/// Up to [`CHUNK`] scatterers, metres from the transmit position. `range_m` is their distance from
-/// it.
+/// Up to [`CHUNK`] scatterers, metres from the transmit position.
 #[derive(Clone, Copy)]
 pub(crate) struct Batch<'a> {
     pub x_m: &'a [f64],
     pub y_m: &'a [f64],
     pub z_m: &'a [f64],
+    /// Length of the transmit leg.
     pub range_m: &'a [f64],
+    /// Point to which the transmit leg leads, axis by axis: the scatterer itself, unless the echo is reflected on one leg.
+    pub transmit_m: [&'a [f64]; 3],
+    /// Half the path by way of the transmit point and back to the transmit position: `range_m`, unless the legs differ.
+    pub half_path_m: &'a [f64],
+    /// Smallest and largest half path.
     pub min_range_m: f64,
     pub(crate) max_range_m: f64,
 }
@@ -473,13 +481,15 @@ impl<'a> Batch<'a> {
     /// The scatterers from `first` on, [`PART`] at most.
     fn part(self, first: usize) -> Self {
         let span = first..(first + PART).min(self.range_m.len());
-        let range_m = &self.range_m[span.clone()];
-        let (min_range_m, max_range_m) = min_max(range_m);
+        let half_path_m = &self.half_path_m[span.clone()];
+        let (min_range_m, max_range_m) = min_max(half_path_m);
         Self {
             x_m: &self.x_m[span.clone()],
             y_m: &self.y_m[span.clone()],
-            z_m: &self.z_m[span],
-            range_m,
+            z_m: &self.z_m[span.clone()],
+            range_m: &self.range_m[span.clone()],
+            transmit_m: self.transmit_m.map(|axis| &axis[span.clone()]),
+            half_path_m,
             min_range_m,
             max_range_m,
         }
@@ -815,6 +825,8 @@ mod tests {
             y_m: &y,
             z_m: &z,
             range_m: &range,
+            transmit_m: [&x, &y, &z],
+            half_path_m: &range,
             min_range_m: 0.0,
             max_range_m: 300.0,
         };

@@ -92,6 +92,15 @@ pub fn receivable(
         }
     }
     let origin_m = plan.segments[0].position_m;
+    if !scatterers.transmit.is_empty() {
+        for i in 0..scatterers.len() {
+            let sent_m = scatterers.transmit_m(i).distance(origin_m);
+            let half_path_m = 0.5 * (sent_m + scatterers.position_m(i).distance(origin_m));
+            let mask = masks.get((half_path_m * per_m) as usize).copied();
+            out.extend(mask.filter(|mask| *mask != 0).map(|mask| (i as u32, mask)));
+        }
+        return;
+    }
     for i in 0..scatterers.len() {
         let (x, y, z) = (
             scatterers.north_m[i] - origin_m.x,
@@ -236,15 +245,15 @@ impl<'a> Prober<'a> {
         )
     }
 
-    /// Emission time of the sound that the element receives from a scatterer at its position `n`.
-    fn emitted_s(&self, at_m: DVec3, n: usize, guess_s: f64) -> f64 {
+    /// Emission time of the sound that the element receives from a scatterer at its position `n`. `sent_m` is the scatterer as the transmitter sees it.
+    fn emitted_s(&self, sent_m: DVec3, at_m: DVec3, n: usize, guess_s: f64) -> f64 {
         let c = self.plan.sound_speed_m_per_s;
         let time_s = self.at.time_s + (n as f64 - 1.0) * self.step_s;
         let second_m = at_m.distance(self.receive_m[n]);
         let mut emitted_s = guess_s;
         for _ in 0..STEPS {
             let (place_m, velocity) = self.transmitter(emitted_s);
-            let ray_m = at_m - place_m;
+            let ray_m = sent_m - place_m;
             let leg_m = ray_m.length();
             let residual_m = c * (time_s - emitted_s) - leg_m - second_m;
             emitted_s += residual_m / (c - velocity.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE));
@@ -256,17 +265,18 @@ impl<'a> Prober<'a> {
     fn echo(&self, scatterers: &Scatterers, i: usize) -> Option<Echo> {
         let c = self.plan.sound_speed_m_per_s;
         let at_m = scatterers.position_m(i) - self.origin_m;
+        let sent_m = scatterers.transmit_m(i) - self.origin_m;
         // The transmitter hardly moves during the pulse, so the error of this guess is
         // microseconds.
-        let first_m = at_m.distance(self.transmit_m);
+        let first_m = sent_m.distance(self.transmit_m);
         let guess_s = self.at.time_s - (first_m + at_m.distance(self.receive_m[1])) / c;
         let span_s = 1.1 * self.at.half_span_s + 1e-4;
         if !(-span_s..=self.plan.pulse.duration_s + span_s).contains(&guess_s) {
             return None;
         }
-        let now_s = self.emitted_s(at_m, 1, guess_s);
-        let before_s = self.emitted_s(at_m, 0, now_s - self.step_s);
-        let after_s = self.emitted_s(at_m, 2, now_s + self.step_s);
+        let now_s = self.emitted_s(sent_m, at_m, 1, guess_s);
+        let before_s = self.emitted_s(sent_m, at_m, 0, now_s - self.step_s);
+        let after_s = self.emitted_s(sent_m, at_m, 2, now_s + self.step_s);
         // t' = now + rate x + curvature x^2, with x counted from the instant.
         let rate = (after_s - before_s) / (2.0 * self.step_s);
         let curvature_per_s =
@@ -280,7 +290,7 @@ impl<'a> Prober<'a> {
         let [(early_s, early), (late_s, late)] = self.attitudes;
         let attitude = early.slerp(late, (leading_s - early_s) / (late_s - early_s));
         let amplitude = self.sonar.amplitude_seen_from(
-            (at_m - self.transmit_m, self.transmit_attitude),
+            (sent_m - self.transmit_m, self.transmit_attitude),
             (at_m - receive_m, attitude),
             facing(scatterers, i),
         );

@@ -76,11 +76,13 @@ pub fn reference(
 
     for i in 0..scatterers.len() {
         let at_m = scatterers.position_m(i) - origin_m;
+        // The same point, unless the echo is reflected on one leg.
+        let sent_m = scatterers.transmit_m(i) - origin_m;
         // Time at which the sound of an emission time arrives.
         let received_s = |emitted_s: f64, from_m: DVec3| {
-            receive_time_s(c, c * emitted_s + at_m.distance(from_m), at_m, &receiver)
+            receive_time_s(c, c * emitted_s + sent_m.distance(from_m), at_m, &receiver)
         };
-        let first_leg_m = at_m.distance(transmit_m);
+        let first_leg_m = sent_m.distance(transmit_m);
         let leading_s = received_s(0.0, transmit_m);
         let trailing_s = received_s(duration_s, last_transmit_m);
         // The range has one spare sample at either end. The condition on t' decides whether a
@@ -98,7 +100,7 @@ pub fn reference(
         counts.too_close += u64::from(first_leg_m.min(second_leg_m) < sonar.one_way.wavelength_m);
         let amplitude = scatterers.strength[i]
             * sonar.amplitude(
-                at_m - transmit_m,
+                sent_m - transmit_m,
                 at_m - receive_m,
                 leading_s,
                 facing(scatterers, i),
@@ -107,7 +109,7 @@ pub fn reference(
         let mut value = |t_s: f64, second_leg_m: f64| {
             let emitted_s = newton(0.0, duration_s, guess_s, |emitted_s| {
                 let (place_m, velocity) = transmitter.at(emitted_s);
-                let ray_m = at_m - place_m;
+                let ray_m = sent_m - place_m;
                 let leg_m = ray_m.length();
                 let residual = c * (t_s - emitted_s) - leg_m - second_leg_m;
                 let slope = velocity.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE) - c;
@@ -137,7 +139,7 @@ pub fn reference(
             // c (t - t') - |S - p_T(t')| - second leg decreases with t', so its signs at the ends
             // of the pulse show whether t' is in the pulse.
             let before = c * t_s - first_leg_m - second_leg_m;
-            let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
+            let after = c * (t_s - duration_s) - sent_m.distance(last_transmit_m) - second_leg_m;
             if before >= 0.0 && after <= 0.0 {
                 out[k] += value(t_s, second_leg_m);
             }
@@ -227,13 +229,13 @@ fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)
     x
 }
 
-/// Orientation and scattering law of a scatterer: law, normal, and the curve of a curved law.
-pub(super) type Facing<'a> = (ScatterLaw, [f32; 3], Option<&'a LawCurve>);
+/// Orientation and scattering law of a scatterer: law, normals as the transmit and the receive leg see them, and the curve of a curved law.
+pub(super) type Facing<'a> = (ScatterLaw, [[f32; 3]; 2], Option<&'a LawCurve>);
 
 pub(super) fn facing(scatterers: &Scatterers, i: usize) -> Facing<'_> {
     (
         scatterers.law[i],
-        scatterers.normal[i],
+        [scatterers.transmit_normal(i), scatterers.normal[i]],
         scatterers.curve.as_deref(),
     )
 }
@@ -292,7 +294,7 @@ impl<'a> Sonar<'a> {
         &self,
         (transmit_ray_m, transmit_attitude): (DVec3, DQuat),
         (receive_ray_m, receive_attitude): (DVec3, DQuat),
-        (law, normal, curve): Facing,
+        (law, normals, curve): Facing,
     ) -> f64 {
         let towards = |pattern: &Directivity, ray_m: DVec3, world_from_body: DQuat, mounting| {
             let array_from_world = DMat3::from_quat(world_from_body * mounting).transpose();
@@ -311,18 +313,21 @@ impl<'a> Sonar<'a> {
             receive_attitude,
             self.array.mounting.body_from_array,
         );
-        let normal = DVec3::new(normal[0].into(), normal[1].into(), normal[2].into());
-        let facing = |ray_m: DVec3| (-normal.dot(ray_m.normalize_or_zero())).max(0.0);
+        let [of_transmit, of_receive] = normals.map(|n| DVec3::from_array(n.map(f64::from)));
+        let facing =
+            |ray_m: DVec3, normal: DVec3| (-normal.dot(ray_m.normalize_or_zero())).max(0.0);
+        let transmit_facing = facing(transmit_ray_m, of_transmit);
+        let receive_facing = facing(receive_ray_m, of_receive);
         let law = match (law, curve) {
             (ScatterLaw::Point, _) => 1.0,
-            (ScatterLaw::Lambert, _) => (facing(transmit_ray_m) * facing(receive_ray_m)).sqrt(),
-            (ScatterLaw::LambertOneWay, _) => facing(transmit_ray_m),
+            (ScatterLaw::Lambert, _) => (transmit_facing * receive_facing).sqrt(),
+            (ScatterLaw::LambertOneWay, _) => transmit_facing,
             (ScatterLaw::Curve, Some(curve)) => {
-                let half = |ray_m| match facing(ray_m) {
+                let half = |facing: f64| match facing {
                     0.0 => 0.0,
                     cosine => curve.half(cosine.sqrt()),
                 };
-                half(transmit_ray_m) * half(receive_ray_m)
+                half(transmit_facing) * half(receive_facing)
             }
             (ScatterLaw::Curve, None) => 0.0,
         };

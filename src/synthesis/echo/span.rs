@@ -44,12 +44,27 @@ pub fn doppler_span(
         .batch_closing_m_per_s
         .iter()
         .zip(&transmit_leg.batch_range_m);
-    for (&(leaving, closing), &(nearest_m, _)) in batches {
+    for (&(leaving, closing), &(nearest_m, farthest_m)) in batches {
         // Distance of the element from the transmit position when an echo arrives, relative to the
         // range of the scatterer; largest at the nearest range.
-        let apart_m = still_m + per_range * nearest_m;
-        let turned = (2.0 * apart_m / (2.0 * nearest_m - apart_m).max(0.0)).min(2.0);
+        // Where the legs differ, a late echo may have a short receive leg.
+        let (path_m, receive_m) = match transmit_leg.nearest_receive_m {
+            None => (nearest_m, nearest_m),
+            Some(receive_m) => (farthest_m, receive_m),
+        };
+        let apart_m = still_m + per_range * path_m;
+        let turned = (2.0 * apart_m / (2.0 * receive_m - apart_m).max(0.0)).min(2.0);
         let beside = change + transmit_speed * turned;
+        if transmit_leg.has_images() {
+            // The speeds are means over both legs: (v_R.e_R + v_T.e_T) differs from twice them by `beside`, and the divisor from c by
+            // at most the transmitter's speed.
+            let (low, high) = (2.0 * leaving - beside, 2.0 * closing + beside);
+            for divisor in [c - transmit_speed, c + transmit_speed] {
+                least = least.min(low / divisor);
+                greatest = greatest.max(high / divisor);
+            }
+            continue;
+        }
         // Both bounds are monotonic in the transmitter's part below c.
         least = least.min((2.0 * leaving - beside) / (c - leaving));
         greatest = greatest.max((2.0 * closing + beside) / (c - closing));

@@ -90,9 +90,15 @@ pub struct TransmitLeg {
     normal_z: Vec<f32>,
     /// Speed of the transmitter towards the scatterer, m/s.
     closing_m_per_s: Vec<f64>,
-    /// Smallest and largest `range_m` of each batch of [`CHUNK`].
+    /// Transmit points, metres from the transmit position, and half the path by way of them and back; empty where every
+    /// scatterer is its own transmit point.
+    transmit_m: [Vec<f64>; 3],
+    half_path_m: Vec<f64>,
+    /// Shortest receive leg, if the legs of any echo may differ.
+    pub(super) nearest_receive_m: Option<f64>,
+    /// Smallest and largest `range_m` of each batch of [`CHUNK`]; of the half paths where legs differ.
     pub(super) batch_range_m: Vec<(f64, f64)>,
-    /// Smallest and largest `closing_m_per_s` of each batch.
+    /// Smallest and largest `closing_m_per_s` of each batch; where legs differ, of its mean over both.
     pub(super) batch_closing_m_per_s: Vec<(f64, f64)>,
     /// Lowest and highest corner of each batch's bounding box.
     batch_box_m: Vec<(DVec3, DVec3)>,
@@ -118,19 +124,41 @@ impl TransmitLeg {
     fn batch(&self, b: usize) -> (Range<usize>, Batch<'_>) {
         let span = b * CHUNK..((b + 1) * CHUNK).min(self.len());
         let (min_range_m, max_range_m) = self.batch_range_m[b];
+        let [x_m, y_m, z_m] = [&self.x_m, &self.y_m, &self.z_m].map(|axis| &axis[span.clone()]);
+        let range_m = &self.range_m[span.clone()];
+        let (transmit_m, half_path_m) = match self.has_images() {
+            false => ([x_m, y_m, z_m], range_m),
+            true => {
+                let [x_m, y_m, z_m] = &self.transmit_m;
+                let transmit_m = [x_m, y_m, z_m].map(|axis| &axis[span.clone()]);
+                (transmit_m, &self.half_path_m[span.clone()])
+            }
+        };
         let batch = Batch {
-            x_m: &self.x_m[span.clone()],
-            y_m: &self.y_m[span.clone()],
-            z_m: &self.z_m[span.clone()],
-            range_m: &self.range_m[span.clone()],
+            x_m,
+            y_m,
+            z_m,
+            range_m,
+            transmit_m,
+            half_path_m,
             min_range_m,
             max_range_m,
         };
         (span, batch)
     }
 
-    /// Sets the number of scatterers.
-    fn resize(&mut self, len: usize) {
+    /// Whether the legs of any echo may differ.
+    pub(super) fn has_images(&self) -> bool {
+        !self.half_path_m.is_empty()
+    }
+
+    /// Sets the number of scatterers, and whether their legs may differ.
+    fn resize(&mut self, len: usize, images: bool) {
+        let image_len = if images { len } else { 0 };
+        for values in &mut self.transmit_m {
+            values.resize(image_len, 0.0);
+        }
+        self.half_path_m.resize(image_len, 0.0);
         for values in [
             &mut self.x_m,
             &mut self.y_m,
@@ -267,6 +295,11 @@ pub fn insonify(
         farthest_m,
     };
     let counts = insonifier.insonify_all(transmit_leg);
+    transmit_leg.nearest_receive_m = None;
+    if transmit_leg.has_images() {
+        bound_images(transmit_leg);
+        return counts;
+    }
     transmit_leg
         .batch_range_m
         .extend(transmit_leg.range_m.chunks(CHUNK).map(min_max));
@@ -288,6 +321,27 @@ pub fn insonify(
                 }),
         );
     counts
+}
+
+/// Bounds of the batches of a leg with echoes whose legs differ.
+fn bound_images(leg: &mut TransmitLeg) {
+    let v = leg.transmit.motion.velocity_m_per_s;
+    let mut nearest_receive_m = f64::INFINITY;
+    leg.batch_range_m
+        .extend(leg.half_path_m.chunks(CHUNK).map(min_max));
+    for first in (0..leg.range_m.len()).step_by(CHUNK) {
+        let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for i in first..(first + CHUNK).min(leg.range_m.len()) {
+            let at_m = DVec3::new(leg.x_m[i], leg.y_m[i], leg.z_m[i]);
+            let receive_m = at_m.length();
+            let closing = v.dot(at_m) / receive_m.max(f64::MIN_POSITIVE);
+            let mean = 0.5 * (leg.closing_m_per_s[i] + closing);
+            (least, greatest) = (least.min(mean), greatest.max(mean));
+            nearest_receive_m = nearest_receive_m.min(receive_m);
+        }
+        leg.batch_closing_m_per_s.push((least, greatest));
+    }
+    leg.nearest_receive_m = Some(nearest_receive_m);
 }
 
 /// Terms of the transmit leg that all scatterers share.
@@ -339,10 +393,24 @@ fn compute_transmit_leg(
     out: &mut TransmitBatch,
 ) {
     let n = n.min(CHUNK);
-    let north_m = &scatterers.north_m[first..][..n];
-    let east_m = &scatterers.east_m[first..][..n];
-    let down_m = &scatterers.down_m[first..][..n];
-    let normal = &scatterers.normal[first..][..n];
+    let (north_m, east_m, down_m, normal) = match &scatterers.transmit {
+        own if own.is_empty() => (
+            &scatterers.north_m,
+            &scatterers.east_m,
+            &scatterers.down_m,
+            &scatterers.normal,
+        ),
+        points => (
+            &points.north_m,
+            &points.east_m,
+            &points.down_m,
+            &points.normal,
+        ),
+    };
+    let north_m = &north_m[first..][..n];
+    let east_m = &east_m[first..][..n];
+    let down_m = &down_m[first..][..n];
+    let normal = &normal[first..][..n];
     let v = leg.transmit.motion.velocity_m_per_s;
     for j in 0..n {
         let ray_m = leg
@@ -699,7 +767,7 @@ fn expand(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut Received
         transmit,
     } = middle;
     let n = batch.range_m.len().min(CHUNK);
-    let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
+    let [x_m, y_m, z_m] = batch.transmit_m.map(|axis| &axis[..n]);
     let [vx, vy, vz, ax, ay, az] = &received.moving;
     for i in 0..n {
         let transmit = Leg {
@@ -825,6 +893,8 @@ mod tests {
             y_m: &y_m,
             z_m: &z_m,
             range_m: &range_m,
+            transmit_m: [&x_m, &y_m, &z_m],
+            half_path_m: &range_m,
             min_range_m: 0.0,
             max_range_m: 200.0,
         };

@@ -835,3 +835,76 @@ fn the_error_check_finds_the_quickstart_within_its_tolerance() {
     println!("{last:?}");
     assert!(!last.fault && last.error < 1.3 * last.tolerance, "{last:?}");
 }
+
+// ---------------------------------------------------------------- echoes whose legs differ
+
+/// Lambert patches, and their images at a surface 2 m above as the receiver or the transmitter sees them.
+fn with_images(count: usize) -> Scatterers {
+    let mut scatterers = ring(count, [4.0, 12.0], 6.0);
+    scatterers.law.fill(ScatterLaw::Lambert);
+    scatterers.normal.fill([0.1, 0.0, -0.995]);
+    let mut images = Scatterers::default();
+    for i in 0..count {
+        let (at_m, strength) = (scatterers.position_m(i), scatterers.strength[i]);
+        let image_m = DVec3::new(at_m.x, at_m.y, -4.0 - at_m.z);
+        let (up, down) = ([0.1, 0.0, -0.995], [0.1, 0.0, 0.995]);
+        let (out, back) = match i % 3 {
+            0 => ((at_m, up), (image_m, down)),
+            1 => ((image_m, down), (at_m, up)),
+            _ => ((image_m, down), (image_m, down)),
+        };
+        images.push(back.0, back.1, -strength, ScatterLaw::Lambert);
+        images.push_transmit(out.0, out.1);
+    }
+    scatterers.append(&images);
+    assert_eq!(scatterers.of_scene(), count);
+    scatterers
+}
+
+/// Every engine against the reference, and the error check of a ping against both.
+#[test]
+fn echoes_whose_legs_differ_are_the_reference_within_the_tolerance() {
+    let scatterers = with_images(60);
+    let truth = multibeam("synthesis = \"reference\"", 5);
+    let at_speed =
+        |rig: &RigSpec, number: u32| plan_on(restless(4.0), rig, number, rig.sonars[0].settings);
+    let want = once(&truth, &at_speed(&truth, 1), &scatterers);
+    let only_direct = once(&truth, &at_speed(&truth, 1), &{
+        let mut direct = scatterers.clone();
+        direct.truncate_to_scene();
+        direct
+    });
+    let (without, _) = worst_window(&only_direct, &want, &at_speed(&truth, 1), 60e3);
+    assert!(without > 0.5, "the images matter: {without}");
+    let models = "path = \"continuous\"\ndoppler = \"stretch-quadratic\"";
+    for (engine, tolerance) in [
+        ("\"direct\"", 1e-3),
+        ("\"gridded-1d\"", 1e-3),
+        ("\"gridded-2d\"\nnearest_m = 2.0", 1e-2),
+        ("\"gridded-2d\"\nnearest_m = 2.0", 1e-3),
+        ("\"gridded-lines\"", 1e-2),
+        ("\"gridded-lines\"", 1e-3),
+    ] {
+        let model =
+            format!("{models}\nsynthesis = {engine}\ntolerance = {tolerance}\nerror_check = true");
+        let rig = multibeam(&model, 5);
+        let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+        pipeline.allow_error_checks(f64::INFINITY);
+        let mut output = pipeline.blank_output();
+        let ping = at_speed(&rig, 1);
+        pipeline.compute_ping(&ping, &scatterers, &mut output);
+        let (error, silent) = worst_window(&output, &want, &ping, 60e3);
+        println!("{engine} {tolerance:.0e}: {error:.1e}, silent {silent:.1e}");
+        assert!(
+            error < tolerance && silent < tolerance,
+            "{engine}: {error:e}, {silent:e} of {tolerance:e}"
+        );
+        assert_eq!(output.counts.beyond_engine, 0, "{engine}");
+        for number in 2..=8 {
+            pipeline.compute_ping(&at_speed(&rig, number), &scatterers, &mut output);
+        }
+        let check = output.error_check.expect("enough windows");
+        println!("{engine} {tolerance:.0e}: checked {:.1e}", check.error);
+        assert!(check.error < tolerance, "{engine}: {:e}", check.error);
+    }
+}

@@ -4,5 +4,6 @@ mod culling;
 mod density;
 mod engines;
 mod error_check;
+mod multipath;
 mod refraction;
 mod reverberation;

@@ -9,7 +9,7 @@
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of the ping |
 //! | `segments` | trajectory samples used to compute the echoes |
-//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made`; with a sound-speed profile `unreached`, of the used, by any ray |
+//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made`; with a sound-speed profile `unreached`, of the used, by any ray; `surface` scatterers of the sea surface, and `images`, echoes by way of surface or bottom, where there are any |
 //! | `error_check` | if configured and enough windows exist: `error`, `low`, `high`, `worst`, `windows`, `tolerance`, `exceeded`, `fault` |
 //! | `methods` | if the method selection applies: `plan` (the block of pings that the methods were selected on, from 1), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
@@ -126,6 +126,12 @@ struct SceneTruth {
     /// Those that no ray reaches; absent if there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     unreached: Option<u64>,
+    /// Of the sea surface; absent if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    surface: Option<u64>,
+    /// Echoes by way of surface or bottom; absent if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    images: Option<u64>,
 }
 
 impl From<SceneCounts> for SceneTruth {
@@ -140,6 +146,8 @@ impl From<SceneCounts> for SceneTruth {
             tiles_used: c.tiles_used,
             tiles_made: c.tiles_made,
             unreached: (c.unreached > 0).then_some(c.unreached),
+            surface: (c.surface > 0).then_some(c.surface),
+            images: (c.images > 0).then_some(c.images),
         }
     }
 }

@@ -106,6 +106,34 @@ fn a_bad_profile_is_refused_with_place_value_and_rule() {
 }
 
 #[test]
+fn a_bad_surface_is_refused_with_value_and_rule() {
+    let minimal = fs::read_to_string(broken_dir().join("../minimal.toml")).expect("readable");
+    for (medium, words) in [
+        (
+            "profile = { points = [[0, 1500], [9, 1490]] }\nmultipath = {}",
+            "medium.multipath: not with [medium.profile]: reflected echoes need water of one sound speed",
+        ),
+        (
+            "multipath = { legs = \"bottom\" }",
+            "medium.multipath.legs = \"bottom\": must be \"surface\" or \"surface-bottom\"",
+        ),
+        (
+            "surface = { wind_m_per_s = 41 }",
+            "medium.surface.wind_m_per_s = 41: must be a number from 0 to 40",
+        ),
+        (
+            "surface = { correlation_time_ms = 10 }",
+            "medium.surface.correlation_time_ms = 10: only with scattering = true",
+        ),
+    ] {
+        let text = format!("{minimal}\n[medium]\n{medium}\n");
+        let errors = config_files::parse(&text, &broken_dir()).expect_err(medium);
+        let said = errors.to_string();
+        assert!(said.contains(words), "{medium}:\n{said}\nwant {words}");
+    }
+}
+
+#[test]
 fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
     for file in broken_files() {
         let text = fs::read_to_string(&file).expect("readable");

@@ -13,6 +13,8 @@ const PART: usize = 32 * CHUNK;
 struct LegSlices<'a> {
     /// Position, range, level and closing speed.
     doubles: [&'a mut [f64]; 6],
+    /// Transmit point and half path, empty where no legs differ.
+    images: [&'a mut [f64]; 4],
     /// Bias and normal.
     singles: [&'a mut [f32]; 4],
     amplitude: &'a mut [Complex64],
@@ -21,7 +23,9 @@ struct LegSlices<'a> {
 
 impl<'a> LegSlices<'a> {
     fn of(leg: &'a mut TransmitLeg) -> Self {
+        let [x_m, y_m, z_m] = &mut leg.transmit_m;
         Self {
+            images: [x_m, y_m, z_m, &mut leg.half_path_m],
             doubles: [
                 &mut leg.x_m,
                 &mut leg.y_m,
@@ -44,16 +48,19 @@ impl<'a> LegSlices<'a> {
     fn split(&mut self, at: usize) -> (LegSlices<'_>, LegSlices<'_>) {
         let (doubles, high_doubles) = halves(&mut self.doubles, at);
         let (singles, high_singles) = halves(&mut self.singles, at);
+        let (images, high_images) = halves(&mut self.images, at);
         let (amplitude, high_amplitude) = self.amplitude.split_at_mut(at);
         let (curved, high_curved) = self.curved.split_at_mut(at);
         let low = LegSlices {
             doubles,
+            images,
             singles,
             amplitude,
             curved,
         };
         let high = LegSlices {
             doubles: high_doubles,
+            images: high_images,
             singles: high_singles,
             amplitude: high_amplitude,
             curved: high_curved,
@@ -65,6 +72,9 @@ impl<'a> LegSlices<'a> {
         for values in &mut self.doubles {
             values.copy_within(from.clone(), to);
         }
+        for values in self.images.iter_mut().filter(|values| !values.is_empty()) {
+            values.copy_within(from.clone(), to);
+        }
         for values in &mut self.singles {
             values.copy_within(from.clone(), to);
         }
@@ -73,12 +83,14 @@ impl<'a> LegSlices<'a> {
     }
 }
 
-/// The slices before `at` and from `at` on.
+/// The slices before `at` and from `at` on; empty ones stay empty.
 fn halves<'a, T, const N: usize>(
     slices: &'a mut [&mut [T]; N],
     at: usize,
 ) -> ([&'a mut [T]; N], [&'a mut [T]; N]) {
-    let mut parts = slices.each_mut().map(|values| values.split_at_mut(at));
+    let mut parts = slices
+        .each_mut()
+        .map(|values| values.split_at_mut(at.min(values.len())));
     (
         parts.each_mut().map(|part| std::mem::take(&mut part.0)),
         parts.each_mut().map(|part| std::mem::take(&mut part.1)),
@@ -97,9 +109,10 @@ pub(super) struct Insonifier<'a> {
 impl Insonifier<'_> {
     /// Fills `transmit_leg` and truncates it to the scatterers that are kept.
     pub(crate) fn insonify_all(&self, transmit_leg: &mut TransmitLeg) -> EchoCounts {
-        transmit_leg.resize(self.scatterers.len());
+        let images = !self.scatterers.transmit.is_empty();
+        transmit_leg.resize(self.scatterers.len(), images);
         let (kept, counts) = self.part(0, &mut LegSlices::of(transmit_leg));
-        transmit_leg.resize(kept);
+        transmit_leg.resize(kept, images);
         counts
     }
 
@@ -159,6 +172,15 @@ impl Insonifier<'_> {
             return false;
         }
         let facing = batch.facing[j].max(0.0);
+        // Where the legs differ, the position is that of the receive leg.
+        let images = !slots.images[0].is_empty();
+        let position_m = |i: usize| self.leg.transmit.relative_m(scatterers.position_m(i));
+        let receive_m = if images { position_m(i) } else { DVec3::ZERO };
+        let half_path_m = 0.5 * (range_m + receive_m.length());
+        if images && (half_path_m > self.farthest_m || half_path_m.is_nan()) {
+            counts.outside_window += 1;
+            return false;
+        }
         let (law, bias, normal) = match scatterers.law[i] {
             ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
             ScatterLaw::Lambert => (facing.sqrt(), 0.0, scatterers.normal[i]),
@@ -176,6 +198,7 @@ impl Insonifier<'_> {
         let mut level = batch.level[j] * f64::from(scatterers.loud[i]);
         if self.floor > 0.0 {
             // All further comparisons are with the floor of the model.
+            let range_m = if images { half_path_m } else { range_m };
             level *= self.floor / self.range_floors.at(self.floor, range_m);
         }
         if level < self.floor || amplitude == Complex64::ZERO {
@@ -185,6 +208,12 @@ impl Insonifier<'_> {
         counts.too_close += u64::from(range_m < self.leg.one_way.wavelength_m);
         let [x_m, y_m, z_m, to_range_m, to_level, closing] = &mut slots.doubles;
         (x_m[to], y_m[to], z_m[to]) = (batch.x_m[j], batch.y_m[j], batch.z_m[j]);
+        if images {
+            let [from_x_m, from_y_m, from_z_m, to_half_path_m] = &mut slots.images;
+            (from_x_m[to], from_y_m[to], from_z_m[to]) = (x_m[to], y_m[to], z_m[to]);
+            (x_m[to], y_m[to], z_m[to]) = receive_m.into();
+            to_half_path_m[to] = half_path_m;
+        }
         (to_range_m[to], to_level[to]) = (range_m, level);
         closing[to] = batch.closing_m_per_s[j];
         let [to_bias, x, y, z] = &mut slots.singles;

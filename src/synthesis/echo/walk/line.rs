@@ -97,6 +97,8 @@ struct SurveyPoints {
     y_m: [f64; CHUNK],
     z_m: [f64; CHUNK],
     range_m: [f64; CHUNK],
+    transmit_m: [[f64; CHUNK]; 3],
+    half_path_m: [f64; CHUNK],
     closing_m_per_s: [f64; CHUNK],
 }
 
@@ -109,6 +111,8 @@ impl Default for SurveyPoints {
             y_m: zero,
             z_m: zero,
             range_m: zero,
+            transmit_m: [zero; 3],
+            half_path_m: zero,
             closing_m_per_s: zero,
         }
     }
@@ -467,7 +471,11 @@ pub(crate) fn line_survey(
         if min_range_m > farthest_m || max_range_m < nearest_m {
             continue;
         }
-        let (low_m, high_m) = transmit_leg.batch_box_m[b];
+        // Echoes whose legs differ have no box: they are surveyed point by point.
+        let (low_m, high_m) = match transmit_leg.batch_box_m.get(b) {
+            Some(own) => *own,
+            None => (DVec3::ZERO, DVec3::splat(f64::INFINITY)),
+        };
         if work.points.len > CHUNK - CORNERS {
             survey_points(plan, array, section, None, transmit_leg, work, sink);
         }
@@ -483,12 +491,15 @@ pub(crate) fn line_survey(
                 );
                 let range_m = at_m.length();
                 let closing = transmit_leg.transmit.motion.velocity_m_per_s.dot(at_m) / range_m;
-                work.points.push(at_m, range_m, closing);
+                work.points.push(at_m, range_m, (at_m, range_m), closing);
             }
             continue;
         }
         survey_points(plan, array, section, None, transmit_leg, work, sink);
-        for i in b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len()) {
+        let (span, batch) = transmit_leg.batch(b);
+        for (i, of_batch) in span.zip(0..) {
+            let [x_m, y_m, z_m] = batch.transmit_m.map(|axis| axis[of_batch]);
+            let transmit_m = DVec3::new(x_m, y_m, z_m);
             let at_m = DVec3::new(
                 transmit_leg.x_m[i],
                 transmit_leg.y_m[i],
@@ -497,6 +508,7 @@ pub(crate) fn line_survey(
             work.points.push(
                 at_m,
                 transmit_leg.range_m[i],
+                (transmit_m, batch.half_path_m[of_batch]),
                 transmit_leg.closing_m_per_s[i],
             );
         }
@@ -524,8 +536,17 @@ pub(crate) fn line_survey(
 }
 
 impl SurveyPoints {
-    fn push(&mut self, at_m: DVec3, range_m: f64, closing_m_per_s: f64) {
+    fn push(
+        &mut self,
+        at_m: DVec3,
+        range_m: f64,
+        (transmit_m, half_path_m): (DVec3, f64),
+        closing_m_per_s: f64,
+    ) {
         let at = self.len;
+        let [x_m, y_m, z_m] = &mut self.transmit_m;
+        (x_m[at], y_m[at], z_m[at]) = transmit_m.into();
+        self.half_path_m[at] = half_path_m;
         (self.x_m[at], self.y_m[at], self.z_m[at]) = at_m.into();
         self.range_m[at] = range_m;
         self.closing_m_per_s[at] = closing_m_per_s;
@@ -556,12 +577,14 @@ fn survey_points(
         return;
     }
     let c = plan.sound_speed_m_per_s;
-    let ranges = points.range_m[..n].iter().copied();
+    let ranges = points.half_path_m[..n].iter().copied();
     let batch = Batch {
         x_m: &points.x_m[..n],
         y_m: &points.y_m[..n],
         z_m: &points.z_m[..n],
         range_m: &points.range_m[..n],
+        transmit_m: points.transmit_m.each_ref().map(|axis| &axis[..n]),
+        half_path_m: &points.half_path_m[..n],
         min_range_m: ranges.clone().fold(f64::INFINITY, f64::min),
         max_range_m: ranges.fold(0.0, f64::max),
     };
@@ -642,11 +665,7 @@ impl Derivation<'_> {
     #[inline(always)]
     fn run_plain(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
         let n = self.batch.range_m.len().min(CHUNK);
-        let (tx, ty, tz) = (
-            &self.batch.x_m[..n],
-            &self.batch.y_m[..n],
-            &self.batch.z_m[..n],
-        );
+        let [tx, ty, tz] = self.batch.transmit_m.map(|axis| &axis[..n]);
         let transmit_m = &self.batch.range_m[..n];
         let transmit_closing = &self.closing_m_per_s[..n];
         let (rx, ry, rz) = (

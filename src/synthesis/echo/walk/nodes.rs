@@ -130,7 +130,8 @@ impl NodeTracks {
     /// Smallest range from the transmitter to a scatterer, metres; infinite without scatterers.
     pub fn nearest_m(transmit_leg: &TransmitLeg) -> f64 {
         let nearest_m = transmit_leg.batch_range_m.iter().map(|range_m| range_m.0);
-        nearest_m.fold(f64::INFINITY, f64::min)
+        let receive_m = transmit_leg.nearest_receive_m.unwrap_or(f64::INFINITY);
+        nearest_m.fold(receive_m, f64::min)
     }
 
     /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`.

@@ -1,0 +1,586 @@
+//! Echoes by way of the sea surface and the bottom, as mirror images of the scatterers.
+//!
+//! A leg leads from the sonar to a scatterer: D directly, S by the surface, SB by the bottom and the surface (from the scatterer: up to the surface, down to the
+//! bottom, up to the sonar). In water of one sound speed a reflected leg is a straight line to the mirror image of the scatterer, at the mean surface, and then
+//! at the local mean plane of the bottom. An echo is a pair of legs, and becomes a scatterer of its own: its position is the image that the receiver sees, its
+//! transmit point the one that the transmitter sees.
+//!
+//! Each reflection has a coherent and an incoherent part (`boundaries`). A pair gives up to two scatterers:
+//!
+//! * the coherent one, at the mirror images, with the product of the mean coefficients;
+//! * the incoherent one, with the rest of the mean square and a circular Gaussian factor. Facets with random slopes reflect it, so a path bends where it is
+//!   reflected, arrives from beside the image, and is longer.
+//!
+//! A leg of length L that bends at the distances r_1 .. r_n from the sonar by twice the slopes s_1 .. s_n leaves the straight line by rho_i, with
+//!
+//! ```text
+//! (rho_i - rho_(i-1)) / (r_i - r_(i-1)) - (rho_(i+1) - rho_i) / (r_(i+1) - r_i) = 2 s_i,    rho_0 = rho_(n+1) = 0
+//! ```
+//!
+//! in the plane of incidence, and by the sine of the grazing angle times that across it (geometric optics of small slopes). The random numbers depend on seed,
+//! ping, scatterer and pair alone. A pair and its reverse have the same, because the surface hardly changes during a ping.
+//!
+//! A pair is left out where its pattern, coefficients included, is below the floor of the ping (`ModelChoice::cull_db`), or its path beyond the window. Not
+//! modelled: legs with more reflections, shadows of reflected legs, refraction.
+
+use glam::DVec3;
+use num_complex::Complex64;
+use rayon::prelude::*;
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+
+use crate::rig::Rig;
+use crate::sea_surface::sea_surface;
+use echotank_config::spec::RigSpec;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{BaffledFace, Footprint, PatternSide, Scatterers};
+use echotank_scene::draws::{circular_gaussian, fraction, philox};
+use echotank_scene::{Ground, reflecting_bottom};
+use echotank_synthesis::echo::boundaries::{FluidBottom, Reflection, SeaSurface};
+
+/// Separates these numbers from other uses of the same seed.
+const IMAGES: u32 = 0x1A6E_5EED;
+/// Scatterers of a task.
+const TOGETHER: usize = 1024;
+/// Reflections of a leg, at most.
+const BENDS: usize = 2;
+/// Legs of a scatterer.
+const LEGS: usize = 3;
+/// Share of the mean square below which a part of an echo is left out.
+const LEAST_SHARE: f64 = 1e-6;
+/// Half length of the patch whose mean plane reflects, in depths of water, and at least, metres.
+const PATCH: f64 = 0.05;
+const LEAST_PATCH_M: f64 = 0.5;
+/// Deviations of the direction for which scatterers are gathered.
+const DEVIATIONS: f64 = 2.0;
+
+/// Pairs of a transmit and a receive leg by their numbers, the direct one left out.
+const PAIRS: [(usize, usize); 8] = [
+    (0, 1),
+    (1, 0),
+    (1, 1),
+    (0, 2),
+    (2, 0),
+    (1, 2),
+    (2, 1),
+    (2, 2),
+];
+/// Of which these are without the bottom.
+const PAIRS_OF_SURFACE: usize = 3;
+
+/// Makes the reflected echoes of pings.
+pub(crate) struct Multipath {
+    surface: SeaSurface,
+    surface_down_m: f64,
+    /// None without legs by the bottom.
+    bottom: Option<FluidBottom>,
+    seed: u64,
+    /// Those of the direct legs, and those that hold every scatterer with a reflected echo.
+    areas: Vec<Footprint>,
+    wide: Vec<Footprint>,
+    blocks: Vec<Block>,
+}
+
+/// A task.
+#[derive(Default)]
+struct Block {
+    legs: Vec<[Option<Leg>; LEGS]>,
+    images: Scatterers,
+}
+
+/// A way between the sonar and a scatterer.
+#[derive(Clone, Copy, Debug)]
+struct Leg {
+    /// The image of the scatterer.
+    image_m: DVec3,
+    normal: [f32; 3],
+    reflection: Reflection,
+    /// Distances from the sonar, sines of the grazing angle, and rms slopes of the reflections, the first from the sonar on.
+    bends: [Bend; BENDS],
+    count: usize,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Bend {
+    along_m: f64,
+    sine: f64,
+    slope: f64,
+}
+
+impl Multipath {
+    /// None where it is not asked for.
+    pub(crate) fn of(spec: &RigSpec) -> Option<Self> {
+        let given = spec.medium.multipath.as_ref()?;
+        let (surface, surface_down_m) = sea_surface(spec);
+        let seabed = spec.scene.seabed.as_ref();
+        let own = reflecting_bottom(seabed.map(|seabed| &seabed.bottom));
+        let slope = libm::tan(given.bottom_slope_rad);
+        Some(Self {
+            surface,
+            surface_down_m,
+            bottom: given.surface_bottom.then(|| FluidBottom {
+                density_ratio: given.bottom_density_ratio.unwrap_or(own.density_ratio),
+                speed_ratio: given.bottom_speed_ratio.unwrap_or(own.speed_ratio),
+                loss: own.loss,
+                rms_m: given.bottom_roughness_m.unwrap_or(own.rms_m),
+                slope2: slope * slope,
+            }),
+            seed: spec.scene.seed,
+            areas: Vec::new(),
+            wide: Vec::new(),
+            blocks: Vec::new(),
+        })
+    }
+
+    /// Footprints that hold every scatterer with an echo of any pair of legs, from those of the direct legs. An image lies in the same vertical plane as its
+    /// scatterer and farther away, and incoherent echoes arrive from beside it.
+    pub(crate) fn widen(&mut self, plan: &PingPlan, direct: &[Footprint]) -> &[Footprint] {
+        self.areas.clear();
+        self.areas.extend_from_slice(direct);
+        self.wide.clear();
+        self.wide.extend_from_slice(direct);
+        let Some(altitude_m) = plan.sensor.altitude_m else {
+            // Without a seabed below there are only a few scatterers.
+            for area in &mut self.wide {
+                area.sides = [PatternSide::OPEN; 4];
+                area.faces = [BaffledFace::OPEN; 2];
+            }
+            return &self.wide;
+        };
+        let slope2 = self.surface.slope2 + self.bottom.map_or(0.0, |bottom| bottom.slope2);
+        let wavenumber_per_m = TAU * plan.pulse.center_frequency_hz / plan.sound_speed_m_per_s;
+        let rough = wavenumber_per_m * self.surface.rms_m.max(self.bottom.map_or(0.0, |b| b.rms_m));
+        let beside = match rough > 0.05 {
+            true => DEVIATIONS * 2.0 * FRAC_1_SQRT_2 * slope2.sqrt(),
+            false => 0.0,
+        };
+        for area in &mut self.wide {
+            let depth_m = (area.apex_m.z - self.surface_down_m).max(0.0);
+            let farther_m = match self.bottom {
+                None => 2.0 * depth_m,
+                Some(_) => 2.0 * (altitude_m + depth_m),
+            };
+            let farther = 1.0 + farther_m / altitude_m;
+            for side in &mut area.sides {
+                side.knee *= farther;
+                side.turn += (1.0 + farther) * side.axis.z.abs() + beside;
+            }
+            for face in &mut area.faces {
+                face.turn += (1.0 + farther) * face.normal.z.abs() + beside;
+            }
+        }
+        &self.wide
+    }
+
+    /// Appends the reflected echoes of the scene's scatterers, after [`Self::widen`]. Returns their number. `array_m`: place of the sonar.
+    pub(crate) fn append(
+        &mut self,
+        plan: &PingPlan,
+        array_m: DVec3,
+        ground: Option<&Ground>,
+        scatterers: &mut Scatterers,
+    ) -> u64 {
+        let count = scatterers.of_scene();
+        let tasks = count.div_ceil(TOGETHER);
+        let mut blocks = std::mem::take(&mut self.blocks);
+        if blocks.len() < tasks {
+            blocks.resize_with(tasks, Block::default);
+        }
+        let ping = PingGeometry {
+            of: self,
+            plan,
+            array_m,
+            wavenumber_per_m: TAU * plan.pulse.center_frequency_hz / plan.sound_speed_m_per_s,
+            ground: ground.filter(|_| self.bottom.is_some()),
+            key: [
+                self.seed as u32,
+                (self.seed >> 32) as u32 ^ plan.ping_number,
+            ],
+        };
+        let given = &*scatterers;
+        blocks[..tasks]
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(task, block)| {
+                let rows = task * TOGETHER..((task + 1) * TOGETHER).min(count);
+                ping.fill(given, rows, block);
+            });
+        let mut appended = 0;
+        for block in &blocks[..tasks] {
+            if !block.images.is_empty() {
+                scatterers.append(&block.images);
+                appended += block.images.len() as u64;
+            }
+        }
+        self.blocks = blocks;
+        appended
+    }
+}
+
+/// Everything that the echoes of a ping share.
+struct PingGeometry<'a> {
+    of: &'a Multipath,
+    plan: &'a PingPlan,
+    array_m: DVec3,
+    wavenumber_per_m: f64,
+    ground: Option<&'a Ground>,
+    key: [u32; 2],
+}
+
+impl PingGeometry<'_> {
+    fn fill(&self, given: &Scatterers, rows: std::ops::Range<usize>, block: &mut Block) {
+        let Block { legs, images } = block;
+        legs.clear();
+        images.truncate(0);
+        for i in rows.clone() {
+            let (at_m, normal) = (given.position_m(i), given.normal[i]);
+            let direct = Leg::direct(at_m, normal);
+            let by_surface = self.by_surface(at_m, normal);
+            let by_bottom = self.by_bottom(at_m, normal);
+            legs.push([Some(direct), by_surface, by_bottom]);
+        }
+        let pairs = match self.ground {
+            None => &PAIRS[..PAIRS_OF_SURFACE],
+            Some(_) => &PAIRS[..],
+        };
+        for &(transmit, receive) in pairs {
+            for (i, legs) in rows.clone().zip(&*legs) {
+                if let (Some(out), Some(back)) = (&legs[transmit], &legs[receive]) {
+                    self.pair(given, i, (transmit, receive), (out, back), images);
+                }
+            }
+        }
+    }
+
+    /// Appends the echoes of one pair of legs.
+    fn pair(
+        &self,
+        given: &Scatterers,
+        i: usize,
+        (transmit, receive): (usize, usize),
+        (out, back): (&Leg, &Leg),
+        images: &mut Scatterers,
+    ) {
+        let both = out.reflection.and(back.reflection);
+        let loud = f64::from(given.loud[i]);
+        let mut add = |out_m: DVec3, back_m: DVec3, rms: f64, factor: Complex64| {
+            if !self.is_received(out_m, back_m, rms * loud) {
+                return;
+            }
+            images.push(
+                back_m,
+                back.normal,
+                given.strength[i] * factor,
+                given.law[i],
+            );
+            images.push_transmit(out_m, out.normal);
+            if let Some(last) = images.loud.last_mut() {
+                *last = (rms * loud) as f32;
+            }
+        };
+        let coherent = both.coherent.norm_sqr();
+        if coherent > LEAST_SHARE * both.power {
+            add(out.image_m, back.image_m, coherent.sqrt(), both.coherent);
+        }
+        let incoherent = both.incoherent();
+        if incoherent <= LEAST_SHARE * both.power {
+            return;
+        }
+        let rms = incoherent.sqrt();
+        if self.is_left_out(out.image_m, back.image_m, rms * loud) {
+            return;
+        }
+        let (low, high) = (transmit.min(receive), transmit.max(receive));
+        let pair = (LEGS * low + high) as u32;
+        let draw = |part: u32| {
+            philox(
+                [i as u32, pair << 8 | part, self.plan.sonar as u32, IMAGES],
+                self.key,
+            )
+        };
+        let gaussian = |a: u32, b: u32| {
+            let z = circular_gaussian(a, b);
+            Complex64::new(z.re.into(), z.im.into())
+        };
+        let [a, b, of_low, of_high] = draw(0);
+        let factor = gaussian(a, b) * rms;
+        // A path of both parts bends where its part is incoherent.
+        let displaced = |number: usize, leg: &Leg| {
+            let (part, chance) = match number == low {
+                true => (1, of_low),
+                false => (2, of_high),
+            };
+            let share = leg.reflection.incoherent() / leg.reflection.power.max(f64::MIN_POSITIVE);
+            if leg.count == 0 || fraction(chance) >= share {
+                return leg.image_m;
+            }
+            let words = draw(part);
+            leg.bent(
+                self.array_m,
+                [0, 2].map(|k| gaussian(words[k], words[k + 1])),
+            )
+        };
+        let out_m = displaced(transmit, out);
+        let back_m = match transmit == receive {
+            // Two paths by the same boundary.
+            true => {
+                let share =
+                    back.reflection.incoherent() / back.reflection.power.max(f64::MIN_POSITIVE);
+                let words = draw(2);
+                match fraction(of_high) < share {
+                    true => back.bent(
+                        self.array_m,
+                        [0, 2].map(|k| gaussian(words[k], words[k + 1])),
+                    ),
+                    false => back.image_m,
+                }
+            }
+            false => displaced(receive, back),
+        };
+        add(out_m, back_m, rms, factor);
+    }
+
+    /// Whether an echo arrives after the window of every array, or is below the floor whatever its directions.
+    fn is_left_out(&self, out_m: DVec3, back_m: DVec3, level: f64) -> bool {
+        let beyond = |area: &Footprint| {
+            let half_m = 0.5 * (out_m.distance(area.apex_m) + back_m.distance(area.apex_m));
+            half_m > area.max_range_m + area.apex_m.distance(area.receiver_m)
+        };
+        let mut areas = self.of.areas.iter();
+        areas.all(|area| area.depth * level < 1.0 || beyond(area))
+    }
+
+    /// Whether any array may receive an echo whose coefficients have the magnitude `level`.
+    fn is_received(&self, out_m: DVec3, back_m: DVec3, level: f64) -> bool {
+        self.of.areas.iter().any(|area| {
+            let (out_m, back_m) = (out_m - area.apex_m, back_m - area.apex_m);
+            let (out_range_m, back_range_m) = (out_m.length(), back_m.length());
+            let half_m = 0.5 * (out_range_m + back_range_m);
+            if half_m > area.max_range_m + area.apex_m.distance(area.receiver_m) {
+                return false;
+            }
+            let [sent, received] = &area.faces;
+            if !sent.may_face(out_m.dot(sent.normal), out_range_m)
+                || !received.may_face(back_m.dot(received.normal), back_range_m)
+            {
+                return false;
+            }
+            let [a, b, c, d] = &area.sides;
+            let below = a.below(out_m.dot(a.axis), out_range_m)
+                * b.below(out_m.dot(b.axis), out_range_m)
+                * c.below(back_m.dot(c.axis), back_range_m)
+                * d.below(back_m.dot(d.axis), back_range_m);
+            below <= area.depth * level
+        })
+    }
+
+    /// The leg by the surface. None where sonar or scatterer is not below it.
+    fn by_surface(&self, at_m: DVec3, normal: [f32; 3]) -> Option<Leg> {
+        let surface_m = self.of.surface_down_m;
+        let (sonar_m, scatterer_m) = (self.array_m.z - surface_m, at_m.z - surface_m);
+        if sonar_m <= 0.0 || scatterer_m <= 0.0 {
+            return None;
+        }
+        let (image_m, normal) = mirrored_at_surface(at_m, normal, surface_m);
+        let length_m = image_m.distance(self.array_m);
+        let sine = (sonar_m + scatterer_m) / length_m;
+        Some(Leg {
+            image_m,
+            normal,
+            reflection: self.at_surface(sine),
+            bends: [
+                Bend {
+                    along_m: length_m * sonar_m / (sonar_m + scatterer_m),
+                    sine,
+                    slope: self.of.surface.slope2.sqrt(),
+                },
+                Bend::default(),
+            ],
+            count: 1,
+        })
+    }
+
+    /// The leg by bottom and surface. None where there is no bottom, or no such path.
+    fn by_bottom(&self, at_m: DVec3, normal: [f32; 3]) -> Option<Leg> {
+        let (ground, bottom) = (self.ground?, self.of.bottom.as_ref()?);
+        let surface_m = self.of.surface_down_m;
+        if self.array_m.z <= surface_m || at_m.z <= surface_m {
+            return None;
+        }
+        let (above_m, above_normal) = mirrored_at_surface(at_m, normal, surface_m);
+        // The place of the reflection on the bottom, as if it were level there.
+        let down_m = ground
+            .down_m(self.array_m.x, self.array_m.y)
+            .unwrap_or(at_m.z);
+        let sonar_up_m = (down_m - self.array_m.z).max(0.0);
+        let share = sonar_up_m / (sonar_up_m + down_m - above_m.z).max(f64::MIN_POSITIVE);
+        let place = self.array_m.lerp(at_m, share.clamp(0.0, 1.0));
+        let plane = mean_plane(ground, place, surface_m)?;
+        let up = plane.up;
+        let side = |p_m: DVec3| (p_m - plane.at_m).dot(up);
+        let (sonar_m, source_m) = (side(self.array_m), side(above_m));
+        if sonar_m <= 0.0 || source_m <= 0.0 {
+            return None;
+        }
+        let image_m = above_m - 2.0 * source_m * up;
+        let n = DVec3::from_array(above_normal.map(f64::from));
+        let normal = (n - 2.0 * n.dot(up) * up).as_vec3().to_array();
+        let ray_m = image_m - self.array_m;
+        let length_m = ray_m.length();
+        let ray = ray_m / length_m;
+        let bottom_sine = -ray.dot(up);
+        let reflected = ray + 2.0 * bottom_sine * up;
+        let surface_sine = -reflected.z;
+        let to_bottom_m = length_m * sonar_m / (sonar_m + source_m);
+        if bottom_sine <= 0.0 || surface_sine <= 0.0 {
+            return None;
+        }
+        let bounce_m = self.array_m + ray * to_bottom_m;
+        let to_surface_m = to_bottom_m + (bounce_m.z - surface_m) / surface_sine;
+        if bounce_m.z <= surface_m || to_surface_m >= length_m {
+            return None;
+        }
+        let at_bottom = bottom.reflection(self.wavenumber_per_m, bottom_sine);
+        Some(Leg {
+            image_m,
+            normal,
+            reflection: at_bottom.and(self.at_surface(surface_sine)),
+            bends: [
+                Bend {
+                    along_m: to_bottom_m,
+                    sine: bottom_sine,
+                    slope: bottom.slope2.sqrt(),
+                },
+                Bend {
+                    along_m: to_surface_m,
+                    sine: surface_sine,
+                    slope: self.of.surface.slope2.sqrt(),
+                },
+            ],
+            count: 2,
+        })
+    }
+
+    fn at_surface(&self, sine: f64) -> Reflection {
+        let carrier_hz = self.plan.pulse.center_frequency_hz;
+        self.of
+            .surface
+            .reflection(carrier_hz, self.wavenumber_per_m, sine)
+    }
+}
+
+impl Leg {
+    fn direct(at_m: DVec3, normal: [f32; 3]) -> Self {
+        Self {
+            image_m: at_m,
+            normal,
+            reflection: Reflection::NONE,
+            bends: [Bend::default(); BENDS],
+            count: 0,
+        }
+    }
+
+    /// The point from which the echo arrives on a path that facets bend. `draws`: circular Gaussians, one for each reflection.
+    fn bent(&self, array_m: DVec3, draws: [Complex64; BENDS]) -> DVec3 {
+        let ray_m = self.image_m - array_m;
+        let length_m = ray_m.length();
+        let ray = ray_m / length_m;
+        let across = match ray.cross(DVec3::Z).try_normalize() {
+            Some(across) => across,
+            None => DVec3::X,
+        };
+        let along = across.cross(ray);
+        let bends = &self.bends[..self.count];
+        // Kinks in both directions, radians: across the plane of incidence a facet turns a grazing ray less.
+        let kink = |k: usize| {
+            let (bend, draw) = (&bends[k], draws[k]);
+            along * (2.0 * bend.slope * draw.re) + across * (2.0 * bend.slope * bend.sine * draw.im)
+        };
+        let (first_m, first) = (bends[0].along_m, kink(0));
+        let mut points_m = [array_m + ray * first_m; BENDS];
+        match bends.get(1) {
+            None => {
+                let later_m = length_m - first_m;
+                points_m[0] += first * (first_m * later_m / length_m);
+            }
+            Some(bend) => {
+                let second = kink(1);
+                let second_m = bend.along_m;
+                // Each kink alone moves both points; their sum solves both equations.
+                let after_first = first * ((length_m - first_m) / length_m);
+                let after_second = second * ((length_m - second_m) / length_m);
+                points_m[0] += (after_first + after_second) * first_m;
+                points_m[1] = array_m + ray * second_m;
+                points_m[1] +=
+                    first * (first_m * (length_m - second_m) / length_m) + after_second * second_m;
+            }
+        }
+        let mut path_m = 0.0;
+        let mut from_m = array_m;
+        for &point_m in points_m[..self.count].iter().chain([&self.image_m]) {
+            path_m += from_m.distance(point_m);
+            from_m = point_m;
+        }
+        array_m + (points_m[0] - array_m).normalize_or_zero() * path_m
+    }
+}
+
+/// A position and a normal in the mirror of the mean surface.
+fn mirrored_at_surface(at_m: DVec3, [a, b, c]: [f32; 3], surface_m: f64) -> (DVec3, [f32; 3]) {
+    (
+        DVec3::new(at_m.x, at_m.y, 2.0 * surface_m - at_m.z),
+        [a, b, -c],
+    )
+}
+
+/// A plane that reflects.
+struct Plane {
+    at_m: DVec3,
+    /// Unit normal, away from the bottom.
+    up: DVec3,
+}
+
+/// Mean plane of the bottom around a place. None at a hole or an edge.
+fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<Plane> {
+    let down_m = |north_m: f64, east_m: f64| ground.down_m(place_m.x + north_m, place_m.y + east_m);
+    let here_m = down_m(0.0, 0.0)?;
+    let half_m = (PATCH * (here_m - surface_m)).max(LEAST_PATCH_M);
+    let (north_m, south_m) = (down_m(half_m, 0.0)?, down_m(-half_m, 0.0)?);
+    let (east_m, west_m) = (down_m(0.0, half_m)?, down_m(0.0, -half_m)?);
+    let mean_m = (here_m + north_m + south_m + east_m + west_m) / 5.0;
+    let slope_north = (north_m - south_m) / (2.0 * half_m);
+    let slope_east = (east_m - west_m) / (2.0 * half_m);
+    Some(Plane {
+        at_m: DVec3::new(place_m.x, place_m.y, mean_m),
+        up: DVec3::new(slope_north, slope_east, -1.0).normalize(),
+    })
+}
+
+impl Rig {
+    /// Appends the scatterers of the sea surface to those of a ping, if it scatters. Returns their number.
+    pub fn add_surface(&mut self, plan: &PingPlan, scatterers: &mut Scatterers) -> u64 {
+        let Some(surface) = &mut self.surface else {
+            return 0;
+        };
+        let unit = &mut self.sonars[plan.sonar];
+        let array_m = unit.center_m(&plan.trajectory.pose_at(0.0));
+        let footprints = unit.pipeline.footprints(plan);
+        surface.append(plan, footprints, array_m, scatterers)
+    }
+
+    /// Appends the reflected echoes to the scatterers of a ping, if there are any. Returns their number. The footprints of its scene have been widened.
+    pub fn add_images(&mut self, plan: &PingPlan, scatterers: &mut Scatterers) -> u64 {
+        let Some(multipath) = &mut self.multipath else {
+            return 0;
+        };
+        let array_m = self.sonars[plan.sonar].center_m(&plan.trajectory.pose_at(0.0));
+        multipath.append(plan, array_m, self.scene.ground().as_ref(), scatterers)
+    }
+
+    /// Footprints for the scatterers of direct and reflected echoes of a ping.
+    pub fn widen<'a>(&'a mut self, plan: &PingPlan, direct: &'a [Footprint]) -> &'a [Footprint] {
+        match &mut self.multipath {
+            Some(multipath) => multipath.widen(plan, direct),
+            None => direct,
+        }
+    }
+}

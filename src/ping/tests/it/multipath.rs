@@ -1,0 +1,632 @@
+//! Echoes by way of surface and bottom, and the scattering surface: times, levels and statistics against closed forms and integrals.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use echotank_config::spec::RigSpec;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
+use echotank_ping::make_ping;
+use echotank_ping::make_ping::{gather, motion};
+use echotank_ping::rig::PingSlot;
+use echotank_ping::threads::pool;
+use echotank_runtime::config_files::parse;
+use echotank_runtime::recorded::RecordedRig;
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
+use echotank_synthesis::echo::boundaries::SeaSurface;
+use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
+use glam::DVec3;
+use num_complex::Complex64;
+
+const C: f64 = 1500.0;
+const RATE_HZ: f64 = 40e3;
+/// Depth of the sonar, metres.
+const SONAR_M: f64 = 2.0;
+
+/// A rig of one omnidirectional transmitter and element at [`SONAR_M`]. `range_m` of the ping.
+struct Setup<'a> {
+    khz: f64,
+    range_m: f64,
+    /// Lines of `[medium]` and its tables, of `[scene]` and its tables, and of `[sonar.model]`.
+    medium: &'a str,
+    scene: &'a str,
+    model: &'a str,
+    /// Lines of transmitter and element.
+    patterns: [&'a str; 2],
+    /// Speed northward, m/s.
+    speed: f64,
+}
+
+fn rig(folder: &Path, setup: &Setup) -> RigSpec {
+    let track = folder.join("track.csv");
+    let mut rows = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
+    for k in 0..400 {
+        let t = f64::from(k) * 0.5;
+        rows += &format!("{t},{},0,0,0,0,0\n", setup.speed * t);
+    }
+    std::fs::write(&track, rows).expect("a track");
+    let Setup {
+        khz,
+        range_m,
+        medium,
+        scene,
+        model,
+        patterns: [sent, received],
+        ..
+    } = setup;
+    let text = format!(
+        r#"
+[medium]
+absorption = "none"
+{medium}
+[nav]
+origin = {{ latitude_deg = 54.3, longitude_deg = 10.2 }}
+mode = "settle"
+vertical = "depth"
+[[nav.source]]
+name = "track"
+kind = "csv"
+path = "{}"
+{scene}
+[[sonar]]
+name = "one"
+[sonar.pulse]
+kind = "cw"
+center_frequency_khz = {khz}
+duration_ms = 0.4
+taper = 0.0
+[[sonar.transmit]]
+name = "tx"
+position_m = [0.0, 0.0, {SONAR_M}]
+{sent}
+[[sonar.receive]]
+name = "rx"
+elements = 1
+spacing_m = 0.01
+position_m = [0.0, 0.0, {SONAR_M}]
+{received}
+[sonar.receiver]
+sample_rate_khz = 40.0
+rx_filter = "none"
+noise_db = "none"
+[sonar.ping]
+range_m = {range_m}
+rate_hz = 2.0
+source_level_db = 200.0
+[sonar.model]
+{model}
+"#,
+        track.display()
+    );
+    parse(&text, folder).unwrap_or_else(|why| panic!("{why}"))
+}
+
+const DIRECT: &str = "path = \"k-segment\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"";
+
+const OMNI: [&str; 2] = ["", "element_pattern = \"omnidirectional\""];
+
+fn plane(depth_m: f64, more: &str) -> String {
+    format!(
+        "[scene]\nocclusion = \"none\"\n[scene.seabed]\nshape = \"plane\"\ndepth_m = {depth_m}\n{more}"
+    )
+}
+
+/// Makes pings 1 to `last` and looks at each.
+fn pings(spec: &RigSpec, last: u32, mut look: impl FnMut(u32, &PingSlot, &Scatterers)) {
+    let mut recorded = RecordedRig::open(spec).expect("opens");
+    let mut slot = recorded.rig.slot(0);
+    for ping in 1..=last {
+        let (sonar, order) = recorded.next_order(last).expect("an order");
+        assert!(recorded.settle(sonar, &order));
+        let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+        make_ping(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("a ping");
+        look(ping, &slot, recorded.rig.scatterers());
+    }
+}
+
+/// Rayleigh reflection at the vertical by a fluid without loss.
+fn at_vertical(density: f64, speed: f64) -> f64 {
+    (density * speed - 1.0) / (density * speed + 1.0)
+}
+
+/// One point on a bottom straight below the sonar, under a calm surface: every pair of legs at its time, with its level.
+#[test]
+fn echoes_of_a_point_come_at_the_times_and_levels_of_its_images() {
+    const BOTTOM_M: f64 = 20.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let points = folder.path().join("points.csv");
+    std::fs::write(
+        &points,
+        format!("north_m,east_m,down_m,amplitude\n0,0,{BOTTOM_M},1\n"),
+    )
+    .expect("points");
+    let scene = format!(
+        "[scene]\nocclusion = \"none\"\npoints = \"{}\"\n[scene.seabed]\nshape = \"plane\"\ndepth_m = {BOTTOM_M}\nlambert_db = -100.0\ndensity_per_m2 = 0.01",
+        points.display()
+    );
+    let setup = Setup {
+        khz: 50.0,
+        range_m: 62.0,
+        medium: "[medium.multipath]\nbottom_density_ratio = 2.0\nbottom_speed_ratio = 1.2\nbottom_roughness_m = 0.0",
+        scene: &scene,
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    pool(2).expect("threads").install(|| {
+        pings(&spec, 1, |_, slot, _| {
+            assert!(slot.output.scene.images > 0);
+            let samples = slot.output.elements[0].element(0);
+            let rate_hz = RATE_HZ;
+            let source = 10f64.powf(200.0 / 20.0);
+            let gain = 10f64.powf(spec.sonars[0].receive[0].sensitivity_db / 20.0);
+            let direct_m = BOTTOM_M - SONAR_M;
+            let surface_m = BOTTOM_M + SONAR_M;
+            let second_m = 3.0 * BOTTOM_M - SONAR_M;
+            let bottom = at_vertical(2.0, 1.2);
+            // Sand has a loss of 0.016, which changes the coefficient by 1e-4.
+            for (name, out_m, back_m, coefficient, orders) in [
+                ("D D", direct_m, direct_m, 1.0, 1.0),
+                ("D S", direct_m, surface_m, 1.0, 2.0),
+                ("S S", surface_m, surface_m, 1.0, 1.0),
+                ("D SB", direct_m, second_m, bottom, 2.0),
+                ("S SB", surface_m, second_m, bottom, 2.0),
+                ("SB SB", second_m, second_m, bottom * bottom, 1.0),
+            ] {
+                let delay_s = (out_m + back_m) / C;
+                let want = orders * source * gain * coefficient / (out_m * back_m);
+                let first = (delay_s - slot.plan.first_sample_s) * rate_hz;
+                let k = first.ceil() as usize;
+                let inside = &samples[k + 1..k + 6];
+                let level = inside.iter().map(|x| x.norm()).sum::<f64>() / inside.len() as f64;
+                let off_db = 20.0 * (level / want).log10();
+                println!("{name}: {off_db:+.3} dB at {delay_s:.5} s");
+                assert!(off_db.abs() < 0.1, "{name}: {off_db} dB");
+                // Nothing two samples before, all of it one sample after.
+                assert!(samples[k - 2].norm() < 0.02 * want, "{name} begins early");
+            }
+        });
+    });
+}
+
+/// Sums of echoes in range cells of half the path.
+struct Cells {
+    first_m: f64,
+    cell_m: f64,
+    carrier_hz: f64,
+    sums: Vec<Complex64>,
+}
+
+impl ArrivalSink for Cells {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        for i in 0..chunk.len {
+            let cell = ((0.5 * C * chunk.delay_s[i] - self.first_m) / self.cell_m).floor();
+            if (0.0..self.sums.len() as f64).contains(&cell) {
+                let turns = self.carrier_hz * chunk.delay_s[i];
+                let phase = -TAU * (turns - turns.round());
+                self.sums[cell as usize] += chunk.amplitude[i] * Complex64::cis(phase);
+            }
+        }
+    }
+}
+
+impl Cells {
+    /// Intensities over those of a source of 1 m strength 1, of the scatterers given.
+    fn of(&mut self, spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<f64> {
+        self.sums.fill(Complex64::ZERO);
+        let sonar = &spec.sonars[0];
+        let mut leg = TransmitLeg::new();
+        let window = Window {
+            first_s: 0.0,
+            last_s: 0.2,
+        };
+        insonify(plan, &sonar.transmit[0], window, scatterers, &mut leg);
+        let mut work = Workspace::new();
+        arrivals(plan, &sonar.receive[0], 0, &leg, &mut work, self);
+        let gain_db = 200.0 + sonar.receive[0].sensitivity_db;
+        let unit = 10f64.powf(-gain_db / 10.0);
+        self.sums.iter().map(|sum| sum.norm_sqr() * unit).collect()
+    }
+}
+
+/// Kolmogorov's probability that intensities over their means are exponential, which those of a Rayleigh envelope are.
+fn rayleigh(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len() as f64;
+    let apart = values.iter().enumerate().map(|(k, x)| {
+        let law = 1.0 - (-x).exp();
+        (law - k as f64 / n)
+            .abs()
+            .max(((k + 1) as f64 / n - law).abs())
+    });
+    let lambda = apart.fold(0.0, f64::max) * (n.sqrt() + 0.12 + 0.11 / n.sqrt());
+    let terms = (1..50).map(|k| {
+        let k = f64::from(k);
+        let sign = if k as i32 % 2 == 1 { 1.0 } else { -1.0 };
+        2.0 * sign * (-2.0 * (k * lambda).powi(2)).exp()
+    });
+    terms.sum::<f64>().clamp(0.0, 1.0)
+}
+
+/// The echoes of one pair of legs, told by the depths of their images.
+fn only(all: &Scatterers, is_wanted: impl Fn(f64, f64) -> bool) -> Scatterers {
+    let mut some = Scatterers {
+        curve: all.curve.clone(),
+        ..Scatterers::default()
+    };
+    for i in all.of_scene()..all.len() {
+        let (out_m, back_m) = (all.transmit_m(i).z, all.position_m(i).z);
+        if is_wanted(out_m, back_m) {
+            some.push_copy(all, i, 1.0);
+        }
+    }
+    some
+}
+
+/// The second bottom echo under a rough surface at 12, 100 and 400 kHz, against the integral over the images of a Lambert bottom: at 12 kHz mostly
+/// coherent, at 100 and 400 kHz incoherent alone. Of one pair of legs: how a pair and its reverse add up depends on the motion between them, and the test of
+/// a point has both.
+#[test]
+fn the_second_bottom_echo_has_the_level_of_the_images_at_12_100_and_400_khz() {
+    const BOTTOM_M: f64 = 10.0;
+    const MU_DB: f64 = -20.0;
+    const PINGS: u32 = 24;
+    const CELL_M: f64 = 0.1;
+    let (density, speed) = (1.9, 1.15);
+    let folder = tempfile::tempdir().expect("a folder");
+    let first_m = 0.5 * (4.0 * BOTTOM_M - 2.0 * SONAR_M);
+    let cells = 30;
+    // D and SB of ground at `y` metres beside the sonar.
+    let lengths = |y: f64| {
+        let (up_m, image_m) = (BOTTOM_M - SONAR_M, 3.0 * BOTTOM_M - SONAR_M);
+        (y.hypot(up_m), y.hypot(image_m), up_m, image_m)
+    };
+    let mut want = vec![0.0; cells];
+    let dy = 1e-4;
+    for k in 0..150_000 {
+        let y = (f64::from(k) + 0.5) * dy;
+        let (direct_m, second_m, up_m, image_m) = lengths(y);
+        let (cos_in, cos_out) = (up_m / direct_m, image_m / second_m);
+        // Rayleigh reflection of the SB leg; its grazing angle has the sine cos_out.
+        let kappa2 = 1.0 / (speed * speed) - (1.0 - cos_out * cos_out);
+        let (a, b) = (density * cos_out, kappa2.sqrt());
+        let power = ((a - b) / (a + b)).powi(2);
+        let mu = 10f64.powf(MU_DB / 10.0);
+        let share = mu * cos_in * cos_out * power / (direct_m * second_m).powi(2);
+        let cell = ((0.5 * (direct_m + second_m) - first_m) / CELL_M).floor() as usize;
+        if cell < cells {
+            want[cell] += share * TAU * y * dy;
+        }
+    }
+    let scene = plane(
+        BOTTOM_M,
+        &format!("lambert_db = {MU_DB}\ndensity_per_m2 = 40.0"),
+    );
+    for khz in [12.0, 100.0, 400.0] {
+        let medium = format!(
+            "[medium.surface]\nroughness_m = 0.005\nslope_deg = 4.0\n[medium.multipath]\nbottom_density_ratio = {density}\nbottom_speed_ratio = {speed}\nbottom_roughness_m = 0.002\nbottom_slope_deg = 2.0"
+        );
+        let setup = Setup {
+            khz,
+            range_m: 22.0,
+            medium: &medium,
+            scene: &scene,
+            model: DIRECT,
+            patterns: OMNI,
+            speed: 3.0,
+        };
+        let spec = rig(folder.path(), &setup);
+        let mut sums = Cells {
+            first_m,
+            cell_m: CELL_M,
+            carrier_hz: 1e3 * khz,
+            sums: vec![Complex64::ZERO; cells],
+        };
+        let mut relative = Vec::new();
+        pool(2).expect("threads").install(|| {
+            let mut recorded = RecordedRig::open(&spec).expect("opens");
+            let mut slot = recorded.rig.slot(0);
+            for _ in 0..PINGS {
+                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
+                assert!(recorded.settle(sonar, &order));
+                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
+                gather(&mut recorded.rig, sonar, &mut slot);
+                let second = only(recorded.rig.scatterers(), |out_m, back_m| {
+                    (out_m - BOTTOM_M).abs() < 1e-6 && back_m > 2.0 * BOTTOM_M
+                });
+                let got = sums.of(&spec, &slot.plan, &second);
+                relative.extend(got.iter().zip(&want).map(|(got, want)| got / want));
+            }
+        });
+        let mean = relative.iter().sum::<f64>() / relative.len() as f64;
+        let off_db = 10.0 * mean.log10();
+        // A ping repeats little of the ground of the one before.
+        let p = rayleigh(relative.iter().map(|x| x / mean).collect());
+        println!("{khz} kHz: {off_db:+.2} dB of the integral, Rayleigh p = {p:.2}");
+        assert!(off_db.abs() < 0.5, "{khz} kHz: {off_db} dB");
+        assert!(p > 0.01, "{khz} kHz: p = {p}");
+    }
+}
+
+/// The surface above the sonar, without a seabed: level of every range cell against the integral of its strength, Rayleigh statistics, the first return
+/// at a slant range of the depth, and pings that are independent after two correlation times.
+#[test]
+fn the_surface_scatters_at_its_strength_from_its_depth_on_and_decorrelates() {
+    const CELL_M: f64 = 0.05;
+    const PINGS: u32 = 12;
+    let folder = tempfile::tempdir().expect("a folder");
+    let wind = 8.0;
+    for khz in [30.0, 400.0] {
+        let medium = format!(
+            "[medium.surface]\nwind_m_per_s = {wind}\nscattering = true\ncorrelation_time_ms = 40.0"
+        );
+        // The seabed sets the density of the surface's scatterers and is out of range.
+        let scene = plane(60.0, "density_per_m2 = 60.0");
+        let setup = Setup {
+            khz,
+            range_m: 12.0,
+            medium: &medium,
+            scene: &scene,
+            model: DIRECT,
+            patterns: OMNI,
+            speed: 0.0,
+        };
+        let spec = rig(folder.path(), &setup);
+        let surface = SeaSurface::of_wind(wind);
+        let (first_m, cells) = (SONAR_M, 160);
+        let want: Vec<f64> = (0..cells)
+            .map(|k| {
+                // dA = 2 pi r dr; every echo has r^-4.
+                let steps = 200;
+                let of = |i: usize| {
+                    let r = first_m + CELL_M * (k as f64 + (i as f64 + 0.5) / f64::from(steps));
+                    let strength = surface.strength(1e3 * khz, SONAR_M / r);
+                    strength * TAU * r.powi(-3) * CELL_M / f64::from(steps)
+                };
+                (0..steps as usize).map(of).sum()
+            })
+            .collect();
+        let mut sums = Cells {
+            first_m,
+            cell_m: CELL_M,
+            carrier_hz: 1e3 * khz,
+            sums: vec![Complex64::ZERO; cells],
+        };
+        let (mut relative, mut early) = (Vec::new(), 0.0f64);
+        pool(2).expect("threads").install(|| {
+            pings(&spec, PINGS, |_, slot, scatterers| {
+                assert_eq!(scatterers.of_scene(), 0);
+                assert_eq!(slot.output.scene.surface as usize, scatterers.len());
+                let got = sums.of(&spec, &slot.plan, scatterers);
+                relative.extend(got.iter().zip(&want).map(|(got, want)| got / want));
+                let samples = slot.output.elements[0].element(0);
+                let first =
+                    ((2.0 * SONAR_M / C - slot.plan.first_sample_s) * RATE_HZ).floor() as usize;
+                early = samples[..first]
+                    .iter()
+                    .map(|x| x.norm())
+                    .fold(early, f64::max);
+                let heard = samples[first..first + 4].iter().map(|x| x.norm());
+                assert!(heard.fold(0.0, f64::max) > 0.0, "heard at the depth");
+            });
+        });
+        assert_eq!(early, 0.0, "nothing is nearer than the surface");
+        let mean = relative.iter().sum::<f64>() / relative.len() as f64;
+        let off_db = 10.0 * mean.log10();
+        let p = rayleigh(relative.iter().map(|x| x / mean).collect());
+        println!("{khz} kHz: {off_db:+.2} dB of the integral, Rayleigh p = {p:.2}");
+        assert!(off_db.abs() < 0.5, "{khz} kHz: {off_db} dB");
+        // The still platform sees the same places in every ping, half a second apart: were they not drawn anew, all pings would agree.
+        assert!(p > 0.01, "{khz} kHz: p = {p}");
+    }
+}
+
+/// A path that facets bend is longer than the mirror path, by (geometric optics of one reflection) 4 s^2 r_1 r_2 / (2 L) in the mean at the vertical, with
+/// s the rms slope in both directions.
+#[test]
+fn rough_paths_are_longer_by_what_the_slopes_say() {
+    const BOTTOM_M: f64 = 10.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let slope = 3f64.to_radians();
+    let setup = Setup {
+        khz: 400.0,
+        range_m: 14.0,
+        medium: "[medium.surface]\nroughness_m = 0.05\nslope_deg = 3.0\n[medium.multipath]\nlegs = \"surface\"",
+        scene: &plane(BOTTOM_M, "density_per_m2 = 400.0"),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    pool(2).expect("threads").install(|| {
+        pings(&spec, 1, |_, _, scatterers| {
+            let (mut sum_m, mut count, mut aside2) = (0.0, 0.0, 0.0);
+            for i in scatterers.of_scene()..scatterers.len() {
+                let (out_m, back_m) = (scatterers.transmit_m(i), scatterers.position_m(i));
+                // D and S of the ground within 1.5 m of the sonar.
+                let beside_m = out_m.truncate().length();
+                if (out_m.z - BOTTOM_M).abs() > 1e-6 || back_m.z > 0.0 || beside_m > 1.5 {
+                    continue;
+                }
+                let sonar_m = DVec3::new(0.0, 0.0, SONAR_M);
+                let image_m = out_m.with_z(-out_m.z);
+                sum_m += back_m.distance(sonar_m) - image_m.distance(sonar_m);
+                let ray = (back_m - sonar_m).normalize();
+                aside2 += ray.angle_between(image_m - sonar_m).powi(2);
+                count += 1.0;
+            }
+            let (r1, r2) = (SONAR_M, BOTTOM_M);
+            let s2 = slope.tan().powi(2);
+            // rho = 2 s r1 r2 / L lengthens the path by rho^2 L / (2 r1 r2).
+            let want_m = 2.0 * s2 * r1 * r2 / (r1 + r2);
+            let want_rad = 2.0 * s2.sqrt() * r2 / (r1 + r2);
+            let (got_m, got_rad) = (sum_m / count, f64::sqrt(aside2 / count));
+            println!("{count} echoes: {got_m:.5} m longer, predicted {want_m:.5}; {got_rad:.4} rad aside, predicted {want_rad:.4}");
+            assert!(count > 2000.0);
+            assert!((got_m / want_m - 1.0).abs() < 0.08, "{got_m} {want_m}");
+            assert!((got_rad / want_rad - 1.0).abs() < 0.05, "{got_rad} {want_rad}");
+        });
+    });
+}
+
+/// The bits of a ping do not depend on threads or on the pings before it.
+#[test]
+fn reflected_echoes_have_the_same_bits_for_any_threads_and_history() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let setup = Setup {
+        khz: 100.0,
+        range_m: 25.0,
+        medium: "[medium.surface]\nwind_m_per_s = 5.0\nscattering = true\n[medium.multipath]",
+        scene: &plane(8.0, "density_per_m2 = 4.0\nbottom = \"sand\""),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 2.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    let with = |threads: usize, skip: u32| {
+        pool(threads).expect("threads").install(|| {
+            let mut recorded = RecordedRig::open(&spec).expect("opens");
+            let mut slot = recorded.rig.slot(0);
+            for ping in 1..=3 {
+                let (sonar, order) = recorded.next_order(3).expect("an order");
+                assert!(recorded.settle(sonar, &order));
+                if ping > skip {
+                    let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+                    make_ping(&mut recorded.rig, sonar, &order, mode, utc, &mut slot)
+                        .expect("a ping");
+                }
+            }
+            (slot.output.elements.clone(), slot.output.scene)
+        })
+    };
+    let (one, scene) = with(1, 0);
+    assert!(scene.images > 1000 && scene.surface > 1000, "{scene:?}");
+    for (threads, skip) in [(2, 0), (7, 0), (2, 2)] {
+        let (other, counts) = with(threads, skip);
+        assert!(one == other, "{threads} threads, {skip} pings skipped");
+        assert_eq!(
+            (scene.images, scene.surface),
+            (counts.images, counts.surface)
+        );
+    }
+    let level: f64 = one[0].iq.iter().map(|x| x.norm_sqr()).sum();
+    assert!(level.is_finite() && level > 0.0);
+}
+
+/// A beam 2 degrees wide along the track, with a culling floor: the gathered scatterers hold the whole second echo of both orders of the legs, although the
+/// rough surface sends sound from beside the beam into it. The levels are those without a floor, for which everything within range is gathered.
+#[test]
+fn a_narrow_beam_behind_its_floor_hears_the_whole_second_echo() {
+    const BOTTOM_M: f64 = 8.0;
+    const PINGS: u32 = 24;
+    let folder = tempfile::tempdir().expect("a folder");
+    let level = |floor: &str, reversed: bool| {
+        let model = format!("{DIRECT}\n{floor}");
+        let setup = Setup {
+            khz: 200.0,
+            range_m: 18.0,
+            medium: "[medium.surface]\nroughness_m = 0.05\nslope_deg = 6.0\n[medium.multipath]\nbottom_slope_deg = 3.0",
+            scene: &plane(BOTTOM_M, "density_per_m2 = 60.0"),
+            model: &model,
+            patterns: [
+                "pattern = \"rectangle\"\nlength_m = 0.19\nwidth_m = 0.004",
+                "yaw_deg = 90.0\nelement_pattern = \"rectangle\"\nelement_length_m = 0.004\nelement_width_m = 0.05",
+            ],
+            speed: 3.0,
+        };
+        let spec = rig(folder.path(), &setup);
+        let first_m = 0.5 * (4.0 * BOTTOM_M - 2.0 * SONAR_M);
+        let mut sums = Cells {
+            first_m,
+            cell_m: 0.05,
+            carrier_hz: 200e3,
+            sums: vec![Complex64::ZERO; 40],
+        };
+        let (mut sum, mut gathered) = (0.0, 0);
+        pool(2).expect("threads").install(|| {
+            let mut recorded = RecordedRig::open(&spec).expect("opens");
+            let mut slot = recorded.rig.slot(0);
+            for _ in 0..PINGS {
+                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
+                assert!(recorded.settle(sonar, &order));
+                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
+                gather(&mut recorded.rig, sonar, &mut slot);
+                let all = recorded.rig.scatterers();
+                gathered += all.of_scene();
+                let second = only(all, |out_m, back_m| {
+                    let (direct_m, image_m) = match reversed {
+                        true => (back_m, out_m),
+                        false => (out_m, back_m),
+                    };
+                    (direct_m - BOTTOM_M).abs() < 1e-6 && image_m > 2.0 * BOTTOM_M
+                });
+                sum += sums.of(&spec, &slot.plan, &second).iter().sum::<f64>();
+            }
+        });
+        (sum, gathered)
+    };
+    for reversed in [false, true] {
+        let ((want, all), (got, some)) = (level("", reversed), level("cull_db = -40.0", reversed));
+        let off_db = 10.0 * (got / want).log10();
+        println!("reversed {reversed}: {off_db:+.2} dB, with {some} of {all} scatterers");
+        assert!(some < all / 2, "{some} of {all}");
+        assert!(off_db.abs() < 0.5, "{off_db} dB");
+    }
+}
+
+/// Over a sloping bottom the distance of an image is the length of the shortest path by bottom and surface (Fermat), found by moving both points of
+/// reflection in turns.
+#[test]
+fn the_image_by_a_sloping_bottom_is_as_far_as_the_shortest_path() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (depth_m, north, east) = (9.0, -0.06, 0.12);
+    let setup = Setup {
+        khz: 100.0,
+        range_m: 20.0,
+        medium: "[medium.multipath]\nbottom_roughness_m = 0.0",
+        scene: &plane(
+            depth_m,
+            &format!("slope_north = {north}\nslope_east = {east}\ndensity_per_m2 = 1.0"),
+        ),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    let up = DVec3::new(north, east, -1.0).normalize();
+    let on_bottom = DVec3::new(0.0, 0.0, depth_m);
+    let meet = |from_m: DVec3, to_m: DVec3, at_m: DVec3, normal: DVec3| {
+        let image_m = to_m - 2.0 * (to_m - at_m).dot(normal) * normal;
+        let ray_m = image_m - from_m;
+        from_m + ray_m * ((at_m - from_m).dot(normal) / ray_m.dot(normal))
+    };
+    pool(2).expect("threads").install(|| {
+        pings(&spec, 1, |_, _, scatterers| {
+            let sonar_m = DVec3::new(0.0, 0.0, SONAR_M);
+            let (mut count, mut worst_m) = (0, 0.0f64);
+            for i in scatterers.of_scene()..scatterers.len() {
+                let (at_m, image_m) = (scatterers.transmit_m(i), scatterers.position_m(i));
+                let is_direct = (at_m - on_bottom).dot(up).abs() < 1e-4;
+                if !is_direct || image_m.z < depth_m || image_m.distance(at_m) < 1.0 {
+                    continue;
+                }
+                let mut surface_m = 0.5 * (sonar_m + at_m).with_z(0.0);
+                let mut bottom_m = DVec3::ZERO;
+                for _ in 0..400 {
+                    bottom_m = meet(sonar_m, surface_m, on_bottom, up);
+                    surface_m = meet(bottom_m, at_m, DVec3::ZERO, DVec3::Z);
+                }
+                let path_m = sonar_m.distance(bottom_m)
+                    + bottom_m.distance(surface_m)
+                    + surface_m.distance(at_m);
+                worst_m = worst_m.max((path_m - image_m.distance(sonar_m)).abs());
+                count += 1;
+            }
+            println!("{count} images, {worst_m:.1e} m");
+            assert!(count > 100 && worst_m < 1e-4, "{count} {worst_m}");
+        });
+    });
+}
