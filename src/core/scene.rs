@@ -331,6 +331,9 @@ pub struct PatternSide {
     pub axis: DVec3,
     /// Sine above which the bound is less than 1: lambda / (pi L); infinite for a side of length zero.
     pub knee: f64,
+    /// Factor of the knee up to which scatterers are kept, 1 or more: reflected echoes arrive with a smaller sine. It does not change
+    /// [`Footprint::below_maximum`].
+    pub reach: f64,
     /// Error of the sine from the rotation of the platform.
     pub turn: f64,
     /// Error of the product of sine and range from the distance between the radiator and the apex, metres.
@@ -353,6 +356,7 @@ impl PatternSide {
     pub const OPEN: Self = Self {
         axis: DVec3::X,
         knee: f64::INFINITY,
+        reach: 1.0,
         turn: 0.0,
         shift_m: 0.0,
     };
@@ -361,7 +365,7 @@ impl PatternSide {
     #[inline(always)]
     pub fn below(&self, along_m: f64, range_m: f64) -> f64 {
         let sine = (along_m.abs() - self.shift_m) / range_m - self.turn;
-        (sine / self.knee).max(1.0)
+        (sine / (self.knee * self.reach)).max(1.0)
     }
 }
 
@@ -456,10 +460,13 @@ impl Footprint {
             && self.max_range_m >= 0.0
             && self.max_range_m.is_finite()
             && self.depth >= 0.0
-            && self
-                .sides
-                .iter()
-                .all(|s| s.axis.is_finite() && s.knee >= 0.0 && s.turn >= 0.0 && s.shift_m >= 0.0)
+            && self.sides.iter().all(|s| {
+                s.axis.is_finite()
+                    && s.knee >= 0.0
+                    && s.reach >= 1.0
+                    && s.turn >= 0.0
+                    && s.shift_m >= 0.0
+            })
             && self
                 .faces
                 .iter()

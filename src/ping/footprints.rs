@@ -190,6 +190,7 @@ impl Radiator<'_> {
                 axis,
                 // A side of length 0 divides to infinity.
                 knee: wavelength_m / (PI * side_m),
+                reach: 1.0,
                 turn: self.margin.turn + self.bend.sine(axis),
                 shift_m: self.margin.shift_m,
             }

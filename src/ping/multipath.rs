@@ -161,7 +161,7 @@ impl Multipath {
             };
             let farther = 1.0 + farther_m / altitude_m;
             for side in &mut area.sides {
-                side.knee *= farther;
+                side.reach *= farther;
                 side.turn += (1.0 + farther) * side.axis.z.abs() + beside;
             }
             for face in &mut area.faces {

@@ -154,9 +154,10 @@ impl Found {
 #[derive(Clone, Debug)]
 pub(crate) struct Lanes {
     max_range_squared_m2: f32,
-    /// Axis, the inverse of the knee, rotation and displacement of each side.
+    /// Axis, the inverses of the knee and of the knee times the reach, rotation and displacement of each side.
     axes: [[f32; 3]; 4],
     per_knee: [f32; 4],
+    per_reach: [f32; 4],
     turn: [f32; 4],
     shift_m: [f32; 4],
     depth: f32,
@@ -178,6 +179,7 @@ impl Lanes {
             max_range_squared_m2: (footprint.max_range_m * footprint.max_range_m) as f32,
             axes: sides.map(|s| vector(s.axis)),
             per_knee: sides.map(|s| (1.0 / s.knee) as f32),
+            per_reach: sides.map(|s| (1.0 / (s.knee * s.reach)) as f32),
             turn: sides.map(|s| s.turn as f32),
             shift_m: sides.map(|s| s.shift_m as f32),
             depth: footprint.depth as f32,
@@ -225,7 +227,7 @@ impl Lanes {
                 let along_m = dot(&self.axes[k]).abs();
                 envelope *= at_least_1(along_m * per_range * self.per_knee[k]);
                 let sine = (along_m - self.shift_m[k]) * per_range - self.turn[k];
-                below *= at_least_1(sine * self.per_knee[k]);
+                below *= at_least_1(sine * self.per_reach[k]);
             }
             found.contained[i] |= inside & (below <= self.depth);
             let Some(own) = own else {

@@ -951,6 +951,7 @@ fn side_looking(apex_m: DVec3, max_range_m: f64) -> Footprint {
     let side = |axis, knee, shift_m| PatternSide {
         axis: turn * axis,
         knee,
+        reach: 1.0,
         turn: 0.01,
         shift_m,
     };
