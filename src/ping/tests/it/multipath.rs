@@ -520,7 +520,8 @@ fn reflected_echoes_have_the_same_bits_for_any_threads_and_history() {
 #[test]
 fn a_narrow_beam_behind_its_floor_hears_the_whole_second_echo() {
     const BOTTOM_M: f64 = 8.0;
-    const PINGS: u32 = 24;
+    // The standard deviation of the difference is about 0.15 dB.
+    const PINGS: u32 = 96;
     const FLOOR_DB: f64 = -20.0;
     let folder = tempfile::tempdir().expect("a folder");
     let level = |floor: &str, reversed: bool| {
