@@ -408,6 +408,7 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
         sound_speed_m_per_s,
         profile: profile.map(Arc::new),
         absorption: absorption?,
+        volume: volume(table, problems)?,
         surface: surface?,
         multipath: multipath?,
     })
@@ -439,6 +440,46 @@ fn multipath(table: &keys::Multipath) -> Option<MultipathSpec> {
         bottom_roughness_m: table.bottom_roughness_m.if_given()?,
         bottom_slope_rad: table.bottom_slope_deg.get()?,
     })
+}
+
+/// Volume reverberation. `Some(None)` without layers; `None` after a problem.
+fn volume(table: &keys::Medium, problems: &mut Problems) -> Option<Option<VolumeSpec>> {
+    let given = table.volume.given;
+    let condition = "a layer: [[medium.volume]]";
+    let of_layers: [&Entry; 2] = [&table.volume_scatterers_per_cell, &table.volume_nearest_m];
+    problems.only_with(&of_layers, Some(given), condition);
+    if !given {
+        return Some(None);
+    }
+    let mut layers = Vec::new();
+    for t in table.volume.all() {
+        let layer = VolumeLayer {
+            top_m: t.top_m.get()?,
+            bottom_m: t.bottom_m.get()?,
+            sv_db: t.sv_db.get()?,
+        };
+        if layer.bottom_m <= layer.top_m {
+            let rule = format!("must be greater than top_m = {}", layer.top_m);
+            problems.refuse(&t.bottom_m, rule);
+            return None;
+        }
+        let overlaps = |o: &&VolumeLayer| o.top_m < layer.bottom_m && layer.top_m < o.bottom_m;
+        if let Some(other) = layers.iter().find(overlaps) {
+            let rule = format!(
+                "the layer must not overlap that from {} to {} m",
+                other.top_m, other.bottom_m
+            );
+            problems.refuse(&t.top_m, rule);
+            return None;
+        }
+        layers.push(layer);
+    }
+    layers.sort_by(|a, b| a.top_m.total_cmp(&b.top_m));
+    Some(Some(VolumeSpec {
+        layers,
+        scatterers_per_cell: table.volume_scatterers_per_cell.get()?,
+        nearest_m: table.volume_nearest_m.get()?,
+    }))
 }
 
 /// The profile of a file or of points.

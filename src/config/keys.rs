@@ -173,6 +173,30 @@ table! {
     salinity_psu: Number(from(0.0, 50.0)), Default("35.0");
     depth_m: Number(from(0.0, 11_000.0)), Default("50.0");
     ph: Number(from(6.0, 9.0)), Default("8.0");
+
+    /// Layers of water that scatter: plankton, bubbles, suspended matter. Left out: no volume reverberation.
+    volume: Tables(VolumeLayer, 100), Optional("");
+
+    /// Scatterers in each resolution cell of the water, drawn anew at every ping. More make the ping slower; the mean level does not depend on it. Only with
+    /// a layer.
+    volume_scatterers_per_cell: Number(from(1.0, 50.0)), Default("4.0");
+
+    /// No volume reverberation from nearer than this: the end of the pulse hides it, and near scatterers make pings slow. Only with a layer.
+    volume_nearest_m: Number(from(0.0, 1000.0)), Default("1.0");
+}
+
+table! {
+    /// A layer of water with volume reverberation. Layers must not overlap.
+    VolumeLayer;
+
+    /// Depth of its upper edge.
+    top_m: Number(from(0.0, 11_000.0)), Required("0.0");
+
+    /// Depth of its lower edge. The seabed ends it earlier.
+    bottom_m: Number(above(0.0, 12_000.0)), Required("100.0");
+
+    /// Volume scattering strength at the centre frequency, dB re 1/m.
+    sv_db: Number(from(-200.0, 0.0)), Required("-70.0");
 }
 
 table! {

@@ -78,6 +78,8 @@ pub struct MediumSpec {
     pub surface: Option<SurfaceSpec>,
     /// Echoes by way of surface and bottom, if they are computed.
     pub multipath: Option<MultipathSpec>,
+    /// Volume reverberation, if there is any.
+    pub volume: Option<VolumeSpec>,
 }
 
 /// The sea surface.
@@ -117,6 +119,28 @@ pub struct MultipathSpec {
     pub bottom_roughness_m: Option<f64>,
     /// Rms slope of the bottom's facets, radians.
     pub bottom_slope_rad: f64,
+}
+
+/// Volume reverberation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeSpec {
+    /// Layers without overlap, at least one, the shallowest first.
+    pub layers: Vec<VolumeLayer>,
+    /// Scatterers in each resolution cell.
+    pub scatterers_per_cell: f64,
+    /// Least distance of a scatterer from the transmitter, metres.
+    pub nearest_m: f64,
+}
+
+/// Layer of water with one volume scattering strength.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VolumeLayer {
+    /// Depth of the upper edge, metres.
+    pub top_m: f64,
+    /// Depth of the lower edge, metres.
+    pub bottom_m: f64,
+    /// Volume scattering strength, dB re 1/m.
+    pub sv_db: f64,
 }
 
 /// Absorption law.

@@ -78,6 +78,12 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
     if let Some(words) = boundaries(&rig.medium) {
         line(out, "boundaries", &words)?;
     }
+    if let Some(volume) = &rig.medium.volume {
+        let layers = volume.layers.iter();
+        let layers = layers.map(|l| format!("{} dB from {} to {} m", l.sv_db, l.top_m, l.bottom_m));
+        let layers: Vec<String> = layers.collect();
+        line(out, "volume", &format!("Sv {}", layers.join(", ")))?;
+    }
     let mode = match rig.nav.mode {
         NavMode::Settle => "settle: pings wait for measurements on both sides",
         NavMode::Predict => "predict: pings are extrapolated to",

@@ -159,6 +159,10 @@ pub struct SceneCounts {
     pub surface: u64,
     /// Echoes by way of surface or bottom passed on; not included in `scatterers`.
     pub images: u64,
+    /// Scatterers of the water passed on, drawn for this ping.
+    pub volume: u64,
+    /// Moving scatterers passed on.
+    pub moving: u64,
 }
 
 /// Counts of one pass over the scatterers, in pairs of scatterer and element.

@@ -5,6 +5,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::frames::{VectorKnot, hermite};
+use crate::time::UtcNs;
+
 // ---------------------------------------------------------------- the scene
 
 /// Dependence of a scatterer's pressure on the angles i (incident) and s (scattered) between its normal and the two rays. A
@@ -13,6 +16,8 @@ use num_complex::Complex64;
 pub enum ScatterLaw {
     /// Independent of direction.
     Point,
+    /// As `Point`, one of many that stand for the water and are drawn for a single ping.
+    Water,
     /// Factor sqrt(cos i cos s) (bistatic Lambert).
     Lambert,
     /// Factor cos i of the incident ray, independent of the receiver (Meng et al. 2023, Eq. 13).
@@ -77,6 +82,8 @@ pub struct Scatterers {
     pub transmit: TransmitPoints,
     /// Number of the last scatterers that are not of the scene: the sea surface and reflected echoes.
     pub appended: usize,
+    /// The few that move; in none of the other lists.
+    pub moving: Vec<MovingScatterer>,
 }
 
 /// Points to which the transmit legs lead, for echoes whose two legs differ: the positions of the scatterers are then those of the
@@ -107,20 +114,38 @@ impl TransmitPoints {
     }
 }
 
+/// A point scatterer in uniform motion during a ping.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MovingScatterer {
+    /// World, metres: the place where the sound finds it, moved back at its velocity to the start of the pulse.
+    pub position_m: DVec3,
+    /// World, metres per second.
+    pub velocity_m_per_s: DVec3,
+    /// As in [`Scatterers`].
+    pub normal: [f32; 3],
+    /// As in [`Scatterers`].
+    pub strength: Complex64,
+    /// Directional law; not [`ScatterLaw::Curve`].
+    pub law: ScatterLaw,
+    /// Index of its target.
+    pub target: u32,
+}
+
 impl Scatterers {
-    /// Number of scatterers.
+    /// Number of scatterers that do not move.
     pub fn len(&self) -> usize {
         self.north_m.len()
     }
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.north_m.is_empty()
+        self.north_m.is_empty() && self.moving.is_empty()
     }
     /// Removes all scatterers.
     pub fn clear(&mut self) {
         self.truncate(0);
+        self.moving.clear();
     }
-    /// Removes all but the first `len` scatterers.
+    /// Removes all but the first `len` scatterers, and none that move.
     pub fn truncate(&mut self, len: usize) {
         self.north_m.truncate(len);
         self.east_m.truncate(len);
@@ -486,4 +511,36 @@ pub struct Target {
     pub position_m: DVec3,
     /// Target strength, dB.
     pub target_strength_db: f64,
+    /// Motion, if it moves. `position_m` is then its place at the first fix.
+    pub course: Option<Course>,
+}
+
+impl Target {
+    /// Position, metres, and velocity, metres per second, `after_s` seconds after an instant.
+    pub fn at(&self, utc: UtcNs, after_s: f64) -> (DVec3, DVec3) {
+        let still = (self.position_m, DVec3::ZERO);
+        self.course.as_ref().map_or(still, |c| c.at(utc, after_s))
+    }
+}
+
+/// Motion of a target over time: cubic between its knots, uniform outside them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Course {
+    /// Positions and velocities over seconds after `origin`; at least one, times increase strictly.
+    pub knots: Arc<[VectorKnot]>,
+    /// Instant from which the knots count.
+    pub origin: UtcNs,
+    /// Added to the positions, metres.
+    pub offset_m: DVec3,
+}
+
+impl Course {
+    /// Position, metres, and velocity, metres per second, `after_s` seconds after an instant.
+    pub fn at(&self, utc: UtcNs, after_s: f64) -> (DVec3, DVec3) {
+        let time_s = (utc.0 - self.origin.0) as f64 * 1e-9 + after_s;
+        let next = self.knots.partition_point(|knot| knot.time_s <= time_s);
+        let around = next.saturating_sub(1)..(next + 1).min(self.knots.len());
+        let (position_m, velocity) = hermite(&self.knots[around], time_s);
+        (position_m + self.offset_m, velocity)
+    }
 }

@@ -17,6 +17,7 @@ use echotank_synthesis::array::gridded::DopplerSpan;
 use echotank_synthesis::array::gridded2d::Refusal;
 use echotank_synthesis::comparison::Comparison;
 use echotank_synthesis::comparison::spectral::Bins;
+use echotank_synthesis::echo::moving::MovingEchoes;
 use echotank_synthesis::echo::reference;
 use echotank_synthesis::echo::span::doppler_span;
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
@@ -65,6 +66,8 @@ pub(crate) struct ElementScratch {
     bins: Bins,
     /// The samples of a further pulse.
     pub(crate) own: Vec<Complex64>,
+    /// Those of moving scatterers.
+    moving: Vec<Complex64>,
 }
 
 impl ElementScratch {
@@ -75,6 +78,7 @@ impl ElementScratch {
             dense: Vec::with_capacity(dense),
             bins: Bins::default(),
             own: Vec::new(),
+            moving: Vec::new(),
         }
     }
 }
@@ -117,6 +121,8 @@ pub(crate) struct ElementSynthesis {
     transmit_legs: Vec<TransmitLeg>,
     /// The receiver filter; without one the sum is sampled at the sample instants.
     decimator: Option<Decimator>,
+    /// Echoes of what moves, whatever the engine.
+    moving: MovingEchoes,
 }
 
 impl ElementSynthesis {
@@ -164,6 +170,7 @@ impl ElementSynthesis {
             transmit_legs: legs.collect(),
             decimator: decimator.cloned(),
             spec: spec.clone(),
+            moving: MovingEchoes::default(),
         }
     }
 
@@ -222,6 +229,75 @@ impl ElementSynthesis {
                     greatest: greatest.clamp(widest.least, widest.greatest),
                 };
             }
+        }
+        counts
+    }
+
+    /// Solves the echoes of moving scatterers. The pulse starts `late_s` after the ping.
+    pub(crate) fn insonify_moving(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        late_s: f64,
+    ) {
+        let SonarSpec {
+            transmit, receive, ..
+        } = &self.spec;
+        let moving = &scatterers.moving;
+        self.moving.prepare(plan, transmit, receive, moving, late_s);
+    }
+
+    /// Whether this ping has echoes of moving scatterers.
+    pub(crate) fn has_moving(&self) -> bool {
+        !self.moving.is_empty()
+    }
+
+    /// Adds the echoes of moving scatterers at one element to `iq`, behind the receiver filter.
+    pub(crate) fn add_moving(
+        &self,
+        plan: &PingPlan,
+        index: usize,
+        element: usize,
+        scratch: &mut ElementScratch,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        let Some((from_s, to_s)) = self.moving.span_s(index) else {
+            return EchoCounts::default();
+        };
+        let rate_hz = self.spec.receiver.sample_rate_hz;
+        let filter = self.decimator.as_ref();
+        let tail_s = filter.map_or(0.0, Decimator::response_half_s);
+        let at = |time_s: f64| (time_s - plan.first_sample_s) * rate_hz;
+        // Conversions saturate: what lies before the record is 0.
+        let first = at(from_s - tail_s).floor() as usize;
+        let end = (at(to_s + tail_s).ceil() as usize)
+            .saturating_add(1)
+            .min(iq.len());
+        if first >= end {
+            return EchoCounts::default();
+        }
+        let iq = &mut iq[first..end];
+        let first_s = plan.first_sample_s + first as f64 / rate_hz;
+        let (ahead_s, dense_hz, len) = grid_ahead(filter, first_s, rate_hz, iq.len());
+        let ElementScratch { dense, moving, .. } = scratch;
+        dense.clear();
+        dense.resize(len, Complex64::ZERO);
+        let ends = filter.map(Decimator::ends);
+        let mut sink = Direct::new(plan, dense_hz, ahead_s, dense).with_ends(ends);
+        let array = &self.spec.receive[index];
+        let counts = self
+            .moving
+            .arrivals(plan, (index, array), element, &mut sink);
+        let made = match filter {
+            Some(filter) => {
+                moving.resize(iq.len(), Complex64::ZERO);
+                filter.apply(dense, moving);
+                &*moving
+            }
+            None => &*dense,
+        };
+        for (sum, echo) in iq.iter_mut().zip(made) {
+            *sum += echo;
         }
         counts
     }

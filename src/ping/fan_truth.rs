@@ -8,7 +8,7 @@
 use glam::DVec3;
 
 use super::line_truth::{
-    Depths, Face, MAIN_LOBE_DB, Motion, blank, half_cell, law_of, trace_ground,
+    Depths, Face, MAIN_LOBE_DB, Motion, blank, half_cell, labelled_scatterers, law_of, trace_ground,
 };
 use crate::rig::{PingSlot, Rig};
 use echotank_config::spec::{FanSpec, SonarSpec};
@@ -43,9 +43,8 @@ pub fn fan_truth(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
         beams,
         motion: Motion::of(&slot.plan, spec.receiver.sample_rate_hz),
     };
-    let mut labels = Vec::new();
-    rig.scene.target_of_each(rig.scatterers(), &mut labels);
-    geometry.energies(rig.scatterers(), &labels, &mut truths);
+    let (scatterers, labels) = labelled_scatterers(rig, &slot.plan);
+    geometry.energies(&scatterers, &labels, &mut truths);
     geometry.ground(rig, &mut truths);
     truths
 }

@@ -31,6 +31,7 @@ mod sea_surface;
 pub mod threads;
 pub mod trigger;
 pub mod view;
+mod volume;
 pub mod work;
 pub mod world;
 
@@ -40,3 +41,4 @@ pub use range_floors::RangeFloorFinder;
 pub use refraction::virtual_point_m;
 pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns, window_s};
 pub use trigger::{EarlyPolicy, Refusal, Triggered};
+pub use volume::volume_directions;

@@ -8,6 +8,8 @@
 //! The ground is traced in the plane normal to the transmitter's axis, through the midpoint between transmission and reception, in steps of
 //! half a sample.
 
+use std::borrow::Cow;
+
 use glam::{DQuat, DVec2, DVec3};
 
 use crate::rig::{PingSlot, Rig};
@@ -77,8 +79,7 @@ pub fn line_truths(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
     let plan = &slot.plan;
     let spec = &rig.sonars[plan.sonar].spec;
     let motion = Motion::of(plan, spec.receiver.sample_rate_hz);
-    let mut labels = Vec::new();
-    rig.scene.target_of_each(rig.scatterers(), &mut labels);
+    let (scatterers, labels) = labelled_scatterers(rig, plan);
     let lines = spec.beams.lines.iter().zip(&slot.output.lines);
     lines
         .map(|(line, computed)| {
@@ -89,11 +90,32 @@ pub fn line_truths(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
                 motion: &motion,
                 line,
             };
-            geometry.energies(rig.scatterers(), &labels, &mut truth);
+            geometry.energies(&scatterers, &labels, &mut truth);
             geometry.ground(rig, &mut truth);
             truth
         })
         .collect()
+}
+
+/// Scatterers of the last ping, those that move where the sound found them, with the target number of each.
+pub(super) fn labelled_scatterers<'a>(
+    rig: &'a Rig,
+    plan: &PingPlan,
+) -> (Cow<'a, Scatterers>, Vec<u16>) {
+    let mut labels = Vec::new();
+    let mut scatterers = Cow::Borrowed(rig.scatterers());
+    rig.scene.target_of_each(&scatterers, &mut labels);
+    if !rig.scatterers().moving.is_empty() {
+        let all = scatterers.to_mut();
+        let from_m = plan.trajectory.pose_at(0.0).position_m;
+        for moving in &rig.scatterers().moving {
+            let hit_s = moving.position_m.distance(from_m) / plan.sound_speed_m_per_s;
+            let at_m = moving.position_m + moving.velocity_m_per_s * hit_s;
+            all.push(at_m, moving.normal, moving.strength, moving.law);
+            labels.push(u16::try_from(moving.target + 1).unwrap_or(u16::MAX));
+        }
+    }
+    (scatterers, labels)
 }
 
 pub(super) fn blank(side: Side, samples: usize) -> LineTruth {
@@ -315,7 +337,7 @@ pub(super) fn law_of(
     let cosine = |from_m: DVec3| ((from_m - at_m).normalize_or_zero().dot(normal)).max(0.0);
     let (incoming, outgoing) = (cosine(transmitter.at_m), cosine(*receiver_m));
     match scatterers.law[i] {
-        ScatterLaw::Point => 1.0,
+        ScatterLaw::Point | ScatterLaw::Water => 1.0,
         ScatterLaw::Lambert => (incoming * outgoing).sqrt(),
         ScatterLaw::LambertOneWay => incoming,
         ScatterLaw::Curve => scatterers.curve.as_ref().map_or(0.0, |curve| {

@@ -138,6 +138,8 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     }
     let mut scatterers = std::mem::take(&mut rig.scatterers);
     slot.output.scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
+    rig.append_volume(&slot.plan, &mut scatterers, &mut slot.output.scene);
+    rig.append_moving(&slot.plan, &mut scatterers, &mut slot.output.scene);
     slot.output.scene.unreached = rig.bend(&slot.plan, &mut scatterers);
     slot.output.scene.images = rig.add_images(&slot.plan, &mut scatterers);
     rig.scatterers = scatterers;

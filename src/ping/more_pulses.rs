@@ -93,6 +93,8 @@ impl MorePulse {
         walk: &mut Workspace,
     ) -> EchoCounts {
         self.follow(ping);
+        self.synthesis
+            .insonify_moving(&self.plan, scatterers, self.delay_s);
         self.synthesis.insonify(&self.plan, scatterers, walk)
     }
 
@@ -146,9 +148,12 @@ impl MorePulse {
     ) -> EchoCounts {
         let mut own = std::mem::take(&mut scratch.own);
         own.resize(self.plan.sample_count, Complex64::ZERO);
-        let counts = self
+        let mut counts = self
             .synthesis
             .element(&self.plan, scatterers, index, element, scratch, &mut own);
+        counts += self
+            .synthesis
+            .add_moving(&self.plan, index, element, scratch, &mut own);
         for ((x, y), turn) in iq.iter_mut().zip(&own).zip(&self.turn) {
             *x += *y * turn;
         }

@@ -231,6 +231,7 @@ impl SonarPipeline {
     ) {
         let walk = &mut of_this_thread(&self.scratch).walk;
         output.counts = self.synthesis.insonify(plan, scatterers, walk);
+        self.synthesis.insonify_moving(plan, scatterers, 0.0);
         for more in &mut self.more_pulses {
             output.counts += more.insonify(plan, scatterers, walk);
         }
@@ -313,6 +314,7 @@ impl SonarPipeline {
             // Everything within the range of the whole ping, so that the tile's echoes go through the same batches.
             let walk = &mut of_this_thread(&self.scratch).walk;
             self.synthesis.insonify(plan, scatterers, walk);
+            self.synthesis.insonify_moving(plan, scatterers, 0.0);
         }
         let samples = std::mem::replace(&mut plan.sample_count, end);
         self.synthesis.limit_to_window(plan);
@@ -348,7 +350,8 @@ impl SonarPipeline {
             .array(plan, index, together, &self.scratch, &mut frame.iq);
         let is_whole = made.is_some();
         *counts += made.unwrap_or_default();
-        if is_whole && self.error_checker.is_none() && self.more_pulses.is_empty() {
+        let is_more = self.synthesis.has_moving() || !self.more_pulses.is_empty();
+        if is_whole && self.error_checker.is_none() && !is_more {
             return;
         }
         let mut results = std::mem::take(&mut self.results);
@@ -388,6 +391,9 @@ impl SonarPipeline {
         if let Some(error_checker) = &self.error_checker {
             let rate_hz = self.spec.receiver.sample_rate_hz;
             error_checker.take(plan, rate_hz, index, element, iq);
+        }
+        if self.synthesis.has_moving() {
+            counts += self.synthesis.add_moving(plan, index, element, scratch, iq);
         }
         for more in &self.more_pulses {
             counts += more.add(scatterers, index, element, scratch, iq);

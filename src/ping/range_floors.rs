@@ -207,7 +207,7 @@ impl RangeFloorFinder {
             let facing_out = facing(scatterers.transmit_normal(i), out);
             let facing_back = facing(scatterers.normal[i], back);
             let law = match scatterers.law[i] {
-                ScatterLaw::Point => 1.0,
+                ScatterLaw::Point | ScatterLaw::Water => 1.0,
                 ScatterLaw::Lambert => (facing_out * facing_back).sqrt(),
                 ScatterLaw::LambertOneWay => facing_out,
                 ScatterLaw::Curve => curve.map_or(0.0, |curve| {

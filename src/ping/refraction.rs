@@ -10,7 +10,7 @@ use glam::DVec3;
 use crate::rig::Rig;
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::{PingPlan, Refraction};
-use echotank_core::scene::Scatterers;
+use echotank_core::scene::{MovingScatterer, Scatterers};
 use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_synthesis::echo::rays::{self, VirtualPoints, virtual_point_error};
 
@@ -46,8 +46,14 @@ impl Rig {
         };
         let depths_m = scatterers.down_m.iter();
         let deepest_m = depths_m.fold(f64::NEG_INFINITY, |deepest, down| deepest.max(*down));
+        let moving = scatterers.moving.iter();
+        let deepest_m = moving.fold(deepest_m, |deepest, s| deepest.max(s.position_m.z));
         points.aim(water, plan.absorption_db_per_m, deepest_m);
-        points.replace(scatterers)
+        let c = plan.sound_speed_m_per_s;
+        let bend = |s: &mut MovingScatterer| bend_moving(points, (water.array_m, c), s);
+        let moving = scatterers.moving.len();
+        scatterers.moving.retain_mut(bend);
+        (moving - scatterers.moving.len()) as u64 + points.replace(scatterers)
     }
 
     /// The virtual point of a place in the last ping that was gathered; the place itself in water of one sound speed. None in a shadow of the water.
@@ -57,6 +63,39 @@ impl Rig {
             _ => Some(at_m),
         }
     }
+}
+
+/// Length along which the motion of a virtual point is measured, metres.
+const ALONG_M: f64 = 0.25;
+
+/// Replaces a moving scatterer by a virtual point in motion: the virtual points of two places of its way, about the place where the sound finds it. Returns
+/// false in a shadow of the water.
+fn bend_moving(
+    points: &VirtualPoints,
+    (array_m, c): (DVec3, f64),
+    scatterer: &mut MovingScatterer,
+) -> bool {
+    let velocity = scatterer.velocity_m_per_s;
+    let mut hit_s = 0.0;
+    for _ in 0..3 {
+        let at_m = scatterer.position_m + velocity * hit_s;
+        let Some(seen) = points.seen(at_m) else {
+            return false;
+        };
+        hit_s = seen.position_m.distance(array_m) / c;
+    }
+    let at_m = scatterer.position_m + velocity * hit_s;
+    let step_s = ALONG_M / velocity.length().max(1e-3);
+    let [before, seen, after] =
+        [-step_s, 0.0, step_s].map(|step_s| points.seen(at_m + velocity * step_s));
+    let (Some(before), Some(seen), Some(after)) = (before, seen, after) else {
+        return false;
+    };
+    scatterer.velocity_m_per_s = (after.position_m - before.position_m) / (2.0 * step_s);
+    scatterer.position_m = seen.position_m - scatterer.velocity_m_per_s * hit_s;
+    scatterer.normal = seen.normal(scatterer.normal);
+    scatterer.strength *= seen.gain;
+    true
 }
 
 /// The virtual point of a place in a ping; the place itself in water of one sound speed. None in a shadow of the water.

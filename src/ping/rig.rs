@@ -13,6 +13,7 @@ use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
 use crate::range_floors::RangeFloorFinder;
 use crate::sea_surface::SurfaceSheet;
+use crate::volume::VolumeWater;
 use crate::world::{SceneSummary, SharedSceneSummary};
 use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
@@ -142,6 +143,10 @@ pub struct Rig {
     /// Where surface and bottom reflect.
     pub(crate) multipath: Option<Multipath>,
     pub(crate) simplify_counts: StageCounts,
+    /// Whether targets move.
+    pub(crate) has_moving: bool,
+    /// With volume reverberation.
+    pub(crate) volume: Option<VolumeWater>,
 }
 
 impl Rig {
@@ -190,10 +195,12 @@ impl Rig {
                 faults: faults.clone(),
             });
         }
+        let scene = Scene::open(files, &spec.scene)?;
         Ok(Self {
             spec: spec.clone(),
             history: NavHistory::new(&spec.nav),
-            scene: Scene::open(files, &spec.scene)?,
+            has_moving: scene.has_moving_targets(),
+            scene,
             sonars,
             faults,
             costs,
@@ -204,6 +211,9 @@ impl Rig {
             multipath: Multipath::of(spec),
             virtual_points: spec.medium.profile.clone().map(VirtualPoints::new),
             simplify_counts: StageCounts::default(),
+            volume: spec.medium.volume.as_ref().map(|volume| {
+                VolumeWater::new(volume, spec.scene.seed, &spec.sonars, &spec.medium)
+            }),
         })
     }
 
@@ -297,6 +307,9 @@ impl Rig {
                 AnchorSpec::File => self.where_the_file_lies(),
             };
             self.scene.place(north_m, east_m);
+            if let (true, Some(epoch)) = (self.has_moving, self.history.first_fix_utc()) {
+                self.scene.start_motion(epoch);
+            }
             self.placed = true;
             self.world.get_or_init(|| SceneSummary::of(&self.scene));
         }
@@ -338,9 +351,10 @@ impl Rig {
         tile: &mut PingSlot,
     ) -> bool {
         let unit = &mut self.sonars[sonar];
-        // A simplified scatterer can be nearer than each of the scatterers that it represents, and a virtual point nearer than its scatterer. The scene
-        // does not hold the sea surface.
-        if unit.simplify.is_some() || slot.plan.refraction.is_some() || self.surface.is_some() {
+        // A simplified scatterer can be nearer than each of the scatterers that it represents, and a virtual point nearer than its scatterer. Scatterers of the
+        // water are everywhere, what moves is not in its place before it is gathered, and the scene does not hold the sea surface.
+        let changes = self.volume.is_some() || self.has_moving || self.surface.is_some();
+        if changes || unit.simplify.is_some() || slot.plan.refraction.is_some() {
             return false;
         }
         let pipeline = &mut unit.pipeline;

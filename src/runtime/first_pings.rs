@@ -304,6 +304,8 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             let areas = rig.widen(&slot.plan, &areas).to_vec();
             let mut scene = rig.scene.gather(&areas, &mut scatterers);
             scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
+            rig.append_volume(&slot.plan, &mut scatterers, &mut scene);
+            rig.append_moving(&slot.plan, &mut scatterers, &mut scene);
             scene.unreached = rig.bend(&slot.plan, &mut scatterers);
             scene.images = rig.add_images(&slot.plan, &mut scatterers);
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);

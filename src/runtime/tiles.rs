@@ -34,7 +34,7 @@ mod tests {
 
     use super::*;
     use crate::recorded::RecordedRig;
-    use echotank_config::spec::{Density, RigSpec};
+    use echotank_config::spec::{Density, RigSpec, VolumeLayer, VolumeSpec};
     use echotank_core::model::Synthesis;
     use echotank_emit::blocks::blocks;
     use echotank_ping::PingOrder;
@@ -146,5 +146,29 @@ mod tests {
             }
         });
         assert!(quiet >= 8 && echoes >= 32, "quickstart: {quiet} {echoes}");
+        // Water that scatters and targets that move, through a filter.
+        let folder = tempfile::tempdir().expect("a folder");
+        let targets = folder.path().join("targets.toml");
+        let text = "[[target]]\nname = \"a\"\nnorth_m = 9.0\neast_m = 30.0\ndown_m = 12.0\nvelocity_m_per_s = [1.0, 2.0, 0.0]\ntarget_strength_db = 0.0\n";
+        std::fs::write(&targets, text).expect("targets");
+        let (quiet, echoes) = tiles_of("quickstart.toml", |spec| {
+            spec.scene.seabed = None;
+            spec.scene.targets = Some(targets.clone());
+            spec.medium.volume = Some(VolumeSpec {
+                layers: vec![VolumeLayer {
+                    top_m: 0.0,
+                    bottom_m: 20.0,
+                    sv_db: -60.0,
+                }],
+                scatterers_per_cell: 1.0,
+                nearest_m: 1.0,
+            });
+            for sonar in &mut spec.sonars {
+                sonar.settings.range_m = 40.0;
+                sonar.model.synthesis = Synthesis::Direct;
+                sonar.synthesis.auto = Default::default();
+            }
+        });
+        assert!(quiet == 0 && echoes >= 32, "volume: {quiet} {echoes}");
     }
 }

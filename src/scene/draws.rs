@@ -101,7 +101,7 @@ fn ln(x: f32) -> f32 {
 
 /// Sine and cosine of a fraction of a turn, in units of 2^-32 turns, to 1e-7.
 #[inline(always)]
-fn sin_cos_turn(turn: u32) -> (f32, f32) {
+pub(crate) fn sin_cos_turn(turn: u32) -> (f32, f32) {
     // Nearest quarter of a turn, and the rest, up to an eighth of a turn either way.
     let quarter = turn.wrapping_add(1 << 29) >> 30;
     let rest = turn.wrapping_sub(quarter << 30) as i32;

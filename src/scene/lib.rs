@@ -2,7 +2,7 @@
 //!
 //! Input: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Output: [`Scatterers`] in world coordinates. The scene has an
 //! origin of its own. [`Scene::place`] moves that origin in the world. All data are made and kept in scene coordinates, so the seabed does not depend
-//! on where the scene lies. The crate opens no file. The caller passes [`Files`]. Not modelled: volume scattering. The sea surface is a scene of its own, a plane (`echotank_ping`).
+//! on where the scene lies. The crate opens no file. The caller passes [`Files`]. The sea surface is a scene of its own, a plane (`echotank_ping`).
 
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
@@ -22,6 +22,7 @@ pub mod simplify;
 mod targets;
 mod thinning;
 mod tiles;
+pub mod volume;
 
 #[cfg(test)]
 mod unit_tests;
@@ -35,6 +36,7 @@ pub use bottoms::{ReflectingBottom, reflecting_bottom};
 use echotank_config::spec::{AnchorSpec, SceneSpec, SeabedShape};
 use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, Scatterers, Target};
+use echotank_core::time::UtcNs;
 use gather::{GatherContext, Gatherer};
 use occlusion::{Occluders, Occlusion};
 use pattern_floor::FloorReference;
@@ -46,6 +48,7 @@ pub use targets::{MeshFolder, Targets};
 pub use text::{MAX_FILE_BYTES, TextError};
 pub use tiles::TILE_BYTES;
 use tiles::{Levels, Recipe};
+use volume::{VolumeDirections, VolumeField, VolumePing};
 
 /// Surface normal of scatterers that have none.
 const UP: [f32; 3] = [0.0, 0.0, -1.0];
@@ -345,6 +348,81 @@ impl Scene {
         counts
     }
 
+    /// Appends the scatterers of the water to those of the last [`Scene::gather`]. Returns their number. Only the seabed below them hides them.
+    pub fn append_volume(
+        &mut self,
+        field: &VolumeField,
+        directions: &VolumeDirections,
+        ping: VolumePing,
+        out: &mut Scatterers,
+    ) -> u64 {
+        let recipe = self.seabed.as_ref().map(|(recipe, _)| recipe);
+        let ground = recipe.map(|recipe| (recipe.surface(), self.anchor_m));
+        let made = field.append(directions, ping, &self.footprints, ground, out);
+        out.appended += made;
+        made as u64
+    }
+
+    /// Whether targets move.
+    pub fn has_moving_targets(&self) -> bool {
+        (0..self.own_targets.len()).any(|target| self.own_targets.is_moving(target))
+    }
+
+    /// Sets the time from which motion without a date counts, that of the first fix.
+    pub fn start_motion(&mut self, epoch: UtcNs) {
+        self.own_targets.start(epoch);
+        let anchor_m = self.anchor_m.extend(0.0);
+        for (target, own) in self.targets.iter_mut().zip(self.own_targets.named()) {
+            target.course.clone_from(&own.course);
+            if let Some(course) = &mut target.course {
+                course.offset_m = anchor_m;
+            }
+        }
+    }
+
+    /// Fills `out.moving` with the scatterers of moving targets within range of any footprint of the last [`Scene::gather`], as the sound of a pulse at
+    /// `utc` finds them. Returns their number. The seabed and solids at rest hide them.
+    pub fn append_moving(
+        &mut self,
+        utc: UtcNs,
+        sound_speed_m_per_s: f64,
+        out: &mut Scatterers,
+    ) -> u64 {
+        out.moving.clear();
+        let Some(around) = self.footprints.first() else {
+            return 0;
+        };
+        let anchor_m = self.anchor_m.extend(0.0);
+        let eye = (around.apex_m - anchor_m, sound_speed_m_per_s);
+        let surface = self.seabed.as_ref().map(|(recipe, _)| recipe.surface());
+        let around = Occluders {
+            ground: surface,
+            solids: Some(&self.own_targets),
+            on_ground: false,
+        };
+        let targets = &self.own_targets;
+        for target in (0..targets.len()).filter(|target| targets.is_moving(*target)) {
+            let (center_m, radius_m) = targets.ball_at(target, utc);
+            let mut footprints = self.footprints.iter();
+            let is_near = footprints
+                .any(|f| f.apex_m.distance(center_m + anchor_m) - radius_m <= f.max_range_m);
+            if !is_near {
+                continue;
+            }
+            targets.moving(target, utc, eye, |mut scatterer| {
+                let own_m = scatterer.position_m;
+                let below = surface.and_then(|surface| surface.sample(own_m.x, own_m.y));
+                let is_buried = below.is_some_and(|below| own_m.z > below.down_m);
+                let sees = |f| self.occlusion.sees(f, own_m, around);
+                if !is_buried && (0..self.footprints.len()).any(sees) {
+                    scatterer.position_m += anchor_m;
+                    out.moving.push(scatterer);
+                }
+            });
+        }
+        out.moving.len() as u64
+    }
+
     fn gather_seabed(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) -> usize {
         let (anchor_m, footprints) = (self.anchor_m.extend(0.0), &self.footprints[..]);
         let Some((recipe, pool)) = &mut self.seabed else {
@@ -427,6 +505,9 @@ impl Scene {
         let anchor_m = self.anchor_m.extend(0.0);
         self.target_rows.clear();
         for target in 0..self.own_targets.len() {
+            if self.own_targets.is_moving(target) {
+                continue;
+            }
             let (center_m, radius_m) = self.own_targets.ball_m(target);
             let center_m = center_m + anchor_m;
             let away_m = |f: &Footprint| f.apex_m.distance(center_m) - radius_m;

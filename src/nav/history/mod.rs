@@ -194,6 +194,7 @@ pub struct NavHistory {
     rings: [Ring; CHANNELS],
     plane: Option<LocalTangentPlane>,
     first_fix_m: Option<DVec3>,
+    first_fix_utc: Option<UtcNs>,
     /// Time and channel of each seam. `None` means all channels.
     seams: Vec<(UtcNs, Option<usize>)>,
     clock_jumps: Vec<ClockJump>,
@@ -257,6 +258,7 @@ impl NavHistory {
                 OriginSpec::FirstFix => None,
             },
             first_fix_m: None,
+            first_fix_utc: None,
             seams: Vec::new(),
             clock_jumps: Vec::new(),
             last_ping: UtcNs(i64::MIN),
@@ -274,6 +276,11 @@ impl NavHistory {
     /// First accepted position of the antenna, world metres.
     pub fn first_fix_local(&self) -> Option<DVec3> {
         self.first_fix_m
+    }
+
+    /// Time of the first accepted position.
+    pub fn first_fix_utc(&self) -> Option<UtcNs> {
+        self.first_fix_utc
     }
 
     /// First instant at which every channel that a ping needs has a sample. `None` while a channel has no sample or the detection
@@ -510,6 +517,7 @@ impl NavHistory {
         }
         if channel == NavChannel::Position {
             self.first_fix_m.get_or_insert(value);
+            self.first_fix_utc.get_or_insert(sample.valid_utc);
         }
         let knot = Knot {
             utc: sample.valid_utc,

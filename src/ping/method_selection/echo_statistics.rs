@@ -577,7 +577,7 @@ impl ReceivingElement {
             let facing_out = facing(scatterers.transmit_normal(i), out);
             let facing_back = facing(scatterers.normal[i], back);
             let law = match law {
-                ScatterLaw::Point => 1.0,
+                ScatterLaw::Point | ScatterLaw::Water => 1.0,
                 ScatterLaw::Lambert => (facing_out * facing_back).sqrt(),
                 ScatterLaw::LambertOneWay => facing_out,
                 ScatterLaw::Curve => curve.map_or(0.0, |curve| {

@@ -260,7 +260,7 @@ impl<'a> Line<'a> {
             let sent_normal = vector(scatterers.transmit_normal(i));
             let cosine = (-sent_normal.dot(out_m) / out_range_m).max(0.0);
             let law_out = match law {
-                ScatterLaw::Point => 1.0,
+                ScatterLaw::Point | ScatterLaw::Water => 1.0,
                 ScatterLaw::Lambert => cosine.sqrt(),
                 ScatterLaw::LambertOneWay => cosine,
                 ScatterLaw::Curve => curve.map_or(0.0, |curve| curve.half(cosine.sqrt().min(1.0))),
@@ -428,7 +428,7 @@ impl<'a> EchoSummation<'a> {
         let u = q / range_m;
         let cosine = (-relative.normal.dot(u)).max(0.0);
         let law = match echo.law {
-            ScatterLaw::Point | ScatterLaw::LambertOneWay => 1.0,
+            ScatterLaw::Point | ScatterLaw::Water | ScatterLaw::LambertOneWay => 1.0,
             ScatterLaw::Lambert => cosine.sqrt(),
             ScatterLaw::Curve => curve.map_or(0.0, |curve| curve.half(cosine.sqrt().min(1.0))),
         };

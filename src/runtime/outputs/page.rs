@@ -166,10 +166,11 @@ impl Page {
         let farthest_m = 0.5 * plan.sound_speed_m_per_s * window_s;
         let mut expected = Vec::new();
         for target in &world.targets {
-            if target.position_m.distance(pose.position_m) > farthest_m + MAX_LEVER_ARM_M {
+            let (target_m, _) = target.at(plan.transmit_utc, 0.0);
+            if target_m.distance(pose.position_m) > farthest_m + MAX_LEVER_ARM_M {
                 continue;
             }
-            let body_m = pose.world_from_body.inverse() * (target.position_m - pose.position_m);
+            let body_m = pose.world_from_body.inverse() * (target_m - pose.position_m);
             let (side, array) = self.array_of(body_m);
             let mounting = &self.spec.receive[array].mounting;
             let from_m = body_m - mounting.position_m;
@@ -185,7 +186,7 @@ impl Page {
             if off_rad.abs() > MAX_OFF_BROADSIDE_RAD {
                 continue;
             }
-            let delay_s = echo_delay_s(&self.spec, plan, array, target.position_m);
+            let delay_s = echo_delay_s(&self.spec, plan, array, target);
             if delay_s <= window_s {
                 expected.push((off_rad, target, side, delay_s));
             }
@@ -666,6 +667,7 @@ mod tests {
             name: format!("{across_m}"),
             position_m: pose.point_m(DVec3::new(0.5, across_m, 0.8)),
             target_strength_db: 3.0,
+            course: None,
         };
         let far = abeam(50.0);
         let (mut page, _) = page(vec![abeam(-0.5), abeam(0.25), far]);

@@ -212,7 +212,7 @@ impl Energies {
                 DVec3::Z
             };
             let law = match scatterers.law[i] {
-                ScatterLaw::Point => 1.0,
+                ScatterLaw::Point | ScatterLaw::Water => 1.0,
                 law => {
                     let normal = DVec3::from_array(scatterers.normal[i].map(f64::from));
                     let cos = (-normal.dot(ray)).clamp(0.0, 1.0);

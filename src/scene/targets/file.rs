@@ -16,12 +16,15 @@ use toml::de::{DeTable, DeValue};
 
 use super::mesh::Mesh;
 use super::solid::Solid;
+use super::swarm::SwarmShape;
+use super::track::{self, MAX_SPEED_M_PER_S};
 use super::{
-    Body, MAX_TARGETS, MeshFolder, ParsedTarget, STRENGTHS_DB, check_name, lambert_of_mean,
-    mean_strength_db,
+    Body, MAX_TARGETS, MeshFolder, ParsedCourse, ParsedTarget, STRENGTHS_DB, check_name,
+    lambert_of_mean, mean_strength_db,
 };
 use crate::read::mesh::{self, MeshAxes};
 use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError};
+use echotank_core::frames::VectorKnot;
 use echotank_core::scene::Target;
 
 /// Accepted radii and sides, metres: from a fishing line to an island.
@@ -45,6 +48,8 @@ const SOLID: &[&str] = &[
     "lambert_db",
     "density_per_m2",
 ];
+/// Fields of a target that moves as a whole.
+const MOTION: &[&str] = &["velocity_m_per_s", "track"];
 /// Shapes and their own fields.
 const SHAPES: &[(&str, &[&str])] = &[
     ("point", &[]),
@@ -56,7 +61,34 @@ const SHAPES: &[(&str, &[&str])] = &[
     ("box", &["size_m", "heading_deg"]),
     ("rope", &["radius_m", "path_m"]),
     ("mesh", &["file", "axes", "scale", "heading_deg"]),
+    (
+        "school",
+        &[
+            "size_m",
+            "heading_deg",
+            "individuals",
+            "individuals_per_m3",
+            "swim_m_per_s",
+        ],
+    ),
+    (
+        "plume",
+        &[
+            "radius_m",
+            "spread",
+            "top_m",
+            "bubbles_per_m",
+            "rise_m_per_s",
+            "drift_m_per_s",
+        ],
+    ),
 ];
+/// Accepted speeds of fish and bubbles, metres per second.
+const SWIM_M_PER_S: RangeInclusive<f64> = 0.0..=20.0;
+const RISE_M_PER_S: RangeInclusive<f64> = 0.01..=10.0;
+const DEFAULT_RISE_M_PER_S: f64 = 0.25;
+/// Most individuals of a school or plume.
+const MAX_INDIVIDUALS: f64 = 1e6;
 /// Names of the mesh axes; the first is the default.
 const AXES: [(&str, MeshAxes); 3] = [
     ("east-north-up", MeshAxes::EastNorthUp),
@@ -121,8 +153,12 @@ fn target(
         return Err(fields.text_error("shape", format!("must be one of {}", names.join(", "))));
     };
     fields.refuse_others(shape, own)?;
-    if shape == "point" {
-        return point(fields, name, seabed);
+    let course = course(fields, folder)?;
+    match shape {
+        "point" => return point(fields, name, course, seabed),
+        "school" => return school(fields, name, course, seabed),
+        "plume" => return plume(fields, name, seabed),
+        _ => {}
     }
     let solid = match shape {
         "sphere" => Solid::Sphere {
@@ -147,7 +183,7 @@ fn target(
             (solid, (low + high) / 2.0)
         }
         _ => {
-            let position_m = place(fields, seabed, solid.bounds_m().1.z)?;
+            let position_m = place(fields, seabed, solid.bounds_m().1.z, course.as_ref())?;
             (solid.moved(position_m), position_m)
         }
     };
@@ -181,31 +217,180 @@ fn target(
             name: name.to_owned(),
             position_m,
             target_strength_db: mean_strength_db(lambert, area_m2),
+            course: None,
         },
         body: Body::Solid {
             solid,
             lambert,
             density_per_m2: density.unwrap_or(DEFAULT_DENSITY_PER_M2),
         },
+        course: course.map(|course| course.from(position_m)),
         line: fields.line,
     })
 }
 
-fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<ParsedTarget, TextError> {
-    for key in ["lambert_db", "density_per_m2"] {
-        if fields.value(key).is_some() {
-            return Err(fields.text_error(key, "is not a field of a point"));
-        }
-    }
+fn point(
+    fields: &Fields,
+    name: &str,
+    course: Option<FileCourse>,
+    seabed: SeabedDown,
+) -> Result<ParsedTarget, TextError> {
+    fields.refuse_surface("point")?;
+    let position_m = place(fields, seabed, 0.0, course.as_ref())?;
     Ok(ParsedTarget {
         target: Target {
             name: name.to_owned(),
-            position_m: place(fields, seabed, 0.0)?,
+            position_m,
             target_strength_db: fields.needed("target_strength_db", STRENGTHS_DB)?,
+            course: None,
         },
         body: Body::Point,
+        course: course.map(|course| course.from(position_m)),
         line: fields.line,
     })
+}
+
+fn school(
+    fields: &Fields,
+    name: &str,
+    course: Option<FileCourse>,
+    seabed: SeabedDown,
+) -> Result<ParsedTarget, TextError> {
+    fields.refuse_surface("school")?;
+    let size_m = DVec3::from_array(fields.needed_triple("size_m", SIZES_M)?);
+    let half_m = size_m / 2.0;
+    let volume_m3 = 4.0 / 3.0 * PI * half_m.x * half_m.y * half_m.z;
+    let given = fields.number("individuals", 1.0..=MAX_INDIVIDUALS)?;
+    let count = match (given, fields.number("individuals_per_m3", 1e-9..=1e9)?) {
+        (Some(count), None) => count.round(),
+        (None, Some(per_m3)) => (per_m3 * volume_m3).round().max(1.0),
+        _ => {
+            let rule = "a school needs either individuals or individuals_per_m3";
+            return Err(fields.text_error("shape", rule));
+        }
+    };
+    if count > MAX_INDIVIDUALS {
+        let rule =
+            format!("gives {count:.0} individuals; at most {MAX_INDIVIDUALS:.0} are allowed");
+        return Err(fields.text_error("individuals_per_m3", rule));
+    }
+    let swim = fields.number("swim_m_per_s", SWIM_M_PER_S)?;
+    let position_m = place(fields, seabed, half_m.z, course.as_ref())?;
+    let each_db = fields.needed("target_strength_db", STRENGTHS_DB)?;
+    let shape = SwarmShape::School {
+        half_m,
+        world_from_school: DMat3::from_rotation_z(fields.heading_rad()?),
+        swim_m_per_s: swim.unwrap_or(0.0),
+    };
+    let swarm = (shape, count, each_db);
+    Ok(swarm_target(fields, name, position_m, swarm, course))
+}
+
+fn plume(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<ParsedTarget, TextError> {
+    fields.refuse_surface("plume")?;
+    let foot_m = place(fields, seabed, 0.0, None)?;
+    let top_m = fields.number("top_m", -MAX_VERTICAL_M..=MAX_VERTICAL_M)?;
+    let height_m = foot_m.z - top_m.unwrap_or(0.0);
+    if height_m < 1e-3 {
+        let rule = format!("must lie above the foot of the plume, at {} m", foot_m.z);
+        return Err(fields.text_error("top_m", rule));
+    }
+    let per_m = fields.needed("bubbles_per_m", 1e-6..=1e6)?;
+    let count = (per_m * height_m).round().max(1.0);
+    if count > MAX_INDIVIDUALS {
+        let rule = format!("gives {count:.0} bubbles; at most {MAX_INDIVIDUALS:.0} are allowed");
+        return Err(fields.text_error("bubbles_per_m", rule));
+    }
+    let rise = fields.number("rise_m_per_s", RISE_M_PER_S)?;
+    let drift = fields.pair("drift_m_per_s", -20.0..=20.0)?;
+    let each_db = fields.needed("target_strength_db", STRENGTHS_DB)?;
+    let shape = SwarmShape::Plume {
+        height_m,
+        radius_m: fields.needed("radius_m", 0.0..=*SIZES_M.end())?,
+        spread: fields.number("spread", 0.0..=10.0)?.unwrap_or(0.0),
+        rise_m_per_s: rise.unwrap_or(DEFAULT_RISE_M_PER_S),
+        drift_m_per_s: drift.map_or(DVec2::ZERO, DVec2::from_array),
+    };
+    let swarm = (shape, count, each_db);
+    Ok(swarm_target(fields, name, foot_m, swarm, None))
+}
+
+fn swarm_target(
+    fields: &Fields,
+    name: &str,
+    position_m: DVec3,
+    (shape, count, each_db): (SwarmShape, f64, f64),
+    course: Option<FileCourse>,
+) -> ParsedTarget {
+    ParsedTarget {
+        target: Target {
+            name: name.to_owned(),
+            position_m,
+            target_strength_db: each_db + 10.0 * libm::log10(count),
+            course: None,
+        },
+        body: Body::Swarm {
+            shape,
+            count: count as usize,
+            each_db,
+        },
+        course: course.map(|course| course.from(position_m)),
+        line: fields.line,
+    }
+}
+
+/// Motion of a target, before its place is known.
+enum FileCourse {
+    Uniform(DVec3),
+    Track(ParsedCourse),
+}
+
+impl FileCourse {
+    /// The course of a target that begins at a place.
+    fn from(self, position_m: DVec3) -> ParsedCourse {
+        match self {
+            Self::Track(track) => track,
+            Self::Uniform(velocity) => ParsedCourse {
+                knots: vec![VectorKnot {
+                    time_s: 0.0,
+                    value: position_m,
+                    rate_per_s: velocity,
+                }],
+                origin: None,
+            },
+        }
+    }
+}
+
+fn course(fields: &Fields, folder: MeshFolder) -> Result<Option<FileCourse>, TextError> {
+    let speeds = -MAX_SPEED_M_PER_S..=MAX_SPEED_M_PER_S;
+    let velocity = match fields.value("velocity_m_per_s") {
+        None => None,
+        Some(_) => {
+            let velocity = DVec3::from_array(fields.needed_triple("velocity_m_per_s", speeds)?);
+            if velocity.length() > MAX_SPEED_M_PER_S {
+                let rule = format!("must be at most {MAX_SPEED_M_PER_S} m/s long");
+                return Err(fields.text_error("velocity_m_per_s", rule));
+            }
+            Some(velocity)
+        }
+    };
+    match (velocity, fields.text("track")?) {
+        (Some(_), Some(_)) => {
+            Err(fields.text_error("track", "must not be given with velocity_m_per_s"))
+        }
+        (Some(velocity), None) => Ok(Some(FileCourse::Uniform(velocity))),
+        (None, None) => Ok(None),
+        (None, Some(file)) => {
+            let refuse = |why: String| fields.text_error("track", why);
+            let path = folder.path.join(file);
+            let bytes =
+                text::read_file(folder.files, &path).map_err(|error| refuse(error.to_string()))?;
+            let track = track::parse(&bytes)
+                .map_err(|error| refuse(format!("{}: {error}", path.display())))?;
+            Ok(Some(FileCourse::Track(track)))
+        }
+    }
 }
 
 /// A cylinder with its centre at the origin.
@@ -321,8 +506,22 @@ fn needs_seabed(north_m: f64, east_m: f64) -> String {
     format!("needs a seabed below it; at north {north_m}, east {east_m} the scene has none")
 }
 
-/// Position of the centre. It lies at the given depth, or its lowest point (`lowest_m` below the centre) lies at the given height above the seabed.
-fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, TextError> {
+/// Position of the centre. It lies at the given depth, or its lowest point (`lowest_m` below the centre) lies at the given height above the seabed. A track
+/// gives the first position.
+fn place(
+    fields: &Fields,
+    seabed: SeabedDown,
+    lowest_m: f64,
+    course: Option<&FileCourse>,
+) -> Result<DVec3, TextError> {
+    if let Some(FileCourse::Track(track)) = course {
+        for key in ["north_m", "east_m", "down_m", "height_above_seabed_m"] {
+            if fields.value(key).is_some() {
+                return Err(fields.text_error(key, "must not be given with a track"));
+            }
+        }
+        return Ok(track.knots.first().map_or(DVec3::ZERO, |knot| knot.value));
+    }
     let horizontal = -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M;
     let at = DVec2::new(
         fields.needed("north_m", horizontal.clone())?,
@@ -369,16 +568,47 @@ impl<'a> Fields<'a> {
     }
 
     fn refuse_others(&self, shape: &str, own: &[&str]) -> Result<(), TextError> {
+        let motion = if matches!(shape, "rope" | "plume") {
+            &[][..]
+        } else {
+            MOTION
+        };
         for (key, _) in self.table {
             let known = |list: &[&str]| list.contains(&key.get_ref().as_ref());
-            if !known(COMMON) && !known(SOLID) && !known(own) {
+            if !known(COMMON) && !known(SOLID) && !known(motion) && !known(own) {
                 let line = line_of(self.text, key.span().start);
-                let all = [COMMON, SOLID, own].concat().join(", ");
+                let all = [COMMON, SOLID, motion, own].concat().join(", ");
                 let rule = format!("is not a field of a {shape}; its fields are {all}");
                 return Err(TextError::new(line, key.get_ref(), rule));
             }
         }
         Ok(())
+    }
+
+    /// Refuses the fields of a surface.
+    fn refuse_surface(&self, shape: &str) -> Result<(), TextError> {
+        for key in ["lambert_db", "density_per_m2"] {
+            if self.value(key).is_some() {
+                return Err(self.text_error(key, format!("is not a field of a {shape}")));
+            }
+        }
+        Ok(())
+    }
+
+    fn pair(&self, key: &str, allowed: RangeInclusive<f64>) -> Result<Option<[f64; 2]>, TextError> {
+        let Some(value) = self.value(key) else {
+            return Ok(None);
+        };
+        match value.get_ref().as_array() {
+            Some(items) if items.len() == 2 => {
+                let mut numbers = [0.0; 2];
+                for (number, item) in numbers.iter_mut().zip(items.iter()) {
+                    *number = self.item(key, item.get_ref(), allowed.clone())?;
+                }
+                Ok(Some(numbers))
+            }
+            _ => Err(self.text_error(key, "must be two numbers")),
+        }
     }
 
     fn text(&self, key: &str) -> Result<Option<&'a str>, TextError> {

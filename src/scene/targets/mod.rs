@@ -13,6 +13,8 @@ pub(crate) mod mesh;
 pub(crate) mod random;
 pub(crate) mod solid;
 mod surface;
+pub(crate) mod swarm;
+mod track;
 
 #[cfg(test)]
 mod tests;
@@ -25,9 +27,12 @@ use num_complex::Complex64;
 
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError, required};
 use crate::Files;
-use echotank_core::scene::{ScatterLaw, Scatterers, Target};
+use echotank_core::frames::VectorKnot;
+use echotank_core::scene::{Course, MovingScatterer, ScatterLaw, Scatterers, Target};
+use echotank_core::time::UtcNs;
 use random::KeyedRandom;
 use solid::Solid;
+use swarm::{Swarm, SwarmShape};
 
 /// Greatest number of targets. The truth record of every ping carries all of them.
 pub(crate) const MAX_TARGETS: usize = 10_000;
@@ -56,8 +61,18 @@ const KEY_LABEL: &[u8; 24] = b"echotank targets    v001";
 pub struct ParsedTarget {
     pub target: Target,
     pub body: Body,
+    /// Its motion, if it moves as a whole.
+    course: Option<ParsedCourse>,
     /// Line of the file.
     line: usize,
+}
+
+/// Motion of a target as its file describes it, in scene coordinates.
+#[derive(Clone, Debug)]
+pub(crate) struct ParsedCourse {
+    knots: Vec<VectorKnot>,
+    /// Instant from which the knots count; the first fix if there is none.
+    origin: Option<UtcNs>,
 }
 
 /// The folder that mesh names in a target table are relative to, and the access to its files.
@@ -78,6 +93,12 @@ pub enum Body {
         lambert: f64,
         density_per_m2: f64,
     },
+    /// A school or a plume: shape, number, and target strength of each individual.
+    Swarm {
+        shape: SwarmShape,
+        count: usize,
+        each_db: f64,
+    },
 }
 
 /// All targets of a scene with their scatterers, in scene coordinates.
@@ -95,6 +116,12 @@ pub struct Targets {
     spans: Vec<Range<usize>>,
     /// Echo pressure at 1 m of all scatterers of each target, summed with random phases as if all faced the sonar.
     strengths: Vec<f64>,
+    /// Individuals of each target that is a swarm.
+    swarms: Vec<Option<Swarm>>,
+    /// Time of the first fix, from which motion without a date counts.
+    epoch: UtcNs,
+    /// Without a date in its file.
+    undated: Vec<bool>,
 }
 
 impl Targets {
@@ -117,6 +144,7 @@ impl Targets {
                 .map(|target| ParsedTarget {
                     target,
                     body: Body::Point,
+                    course: None,
                     line: 0,
                 })
                 .collect(),
@@ -127,9 +155,49 @@ impl Targets {
     /// Makes the scatterers. Rejects more than [`MAX_TARGET_SCATTERERS`].
     pub fn new(placed: Vec<ParsedTarget>, seed: u64) -> Result<Self, TextError> {
         let mut all = Self::default();
-        for (index, ParsedTarget { target, body, line }) in placed.into_iter().enumerate() {
+        for (index, parsed) in placed.into_iter().enumerate() {
+            let ParsedTarget {
+                mut target,
+                body,
+                course,
+                line,
+            } = parsed;
             let first = all.scatterers.len();
+            all.undated
+                .push(course.as_ref().is_some_and(|c| c.origin.is_none()));
+            target.course = course.map(|course| Course {
+                knots: course.knots.into(),
+                origin: course.origin.unwrap_or_default(),
+                offset_m: DVec3::ZERO,
+            });
+            let mut swarm = None;
             match body {
+                Body::Swarm {
+                    shape,
+                    count,
+                    each_db,
+                } => {
+                    let made = Swarm::new(shape, count, linear(each_db), seed, index);
+                    let (middle_m, radius_m) = made.ball_m();
+                    all.balls_m.push((target.position_m + middle_m, radius_m));
+                    all.solids.push(None);
+                    if !made.is_moving() && target.course.is_none() {
+                        if first + count > MAX_TARGET_SCATTERERS {
+                            let rule = format!(
+                                "all targets together may take {MAX_TARGET_SCATTERERS} scatterers"
+                            );
+                            return Err(TextError::new(line, &target.name, rule).in_column("name"));
+                        }
+                        for k in 0..count {
+                            let one = made.individual(k, 0.0);
+                            let at_m = target.position_m + one.offset_m;
+                            all.scatterers
+                                .push(at_m, super::UP, one.strength, ScatterLaw::Point);
+                            all.area_m2.push(0.0);
+                        }
+                    }
+                    swarm = Some(made);
+                }
                 Body::Point => {
                     all.balls_m.push((target.position_m, 0.0));
                     all.scatterers.push(
@@ -171,13 +239,15 @@ impl Targets {
                     let (low, high) = solid.bounds_m();
                     all.balls_m
                         .push(((low + high) / 2.0, low.distance(high) / 2.0));
-                    all.solids.push(Some(solid));
+                    // What moves casts no shadow.
+                    all.solids.push(target.course.is_none().then_some(solid));
                 }
             }
             let own = &all.scatterers.strength[first..];
             all.strengths
                 .push(own.iter().map(|s| s.norm_sqr()).sum::<f64>().sqrt());
             all.spans.push(first..all.scatterers.len());
+            all.swarms.push(swarm);
             all.named.push(target);
         }
         Ok(all)
@@ -194,6 +264,87 @@ impl Targets {
     /// Targets in the order of their file, scene coordinates.
     pub fn named(&self) -> &[Target] {
         &self.named
+    }
+    /// Whether a target moves, as a whole or in itself.
+    pub(crate) fn is_moving(&self, target: usize) -> bool {
+        let swarm = self.swarms[target].as_ref();
+        self.named[target].course.is_some() || swarm.is_some_and(Swarm::is_moving)
+    }
+    /// Sets the time of the first fix.
+    pub(crate) fn start(&mut self, epoch: UtcNs) {
+        self.epoch = epoch;
+        for (target, undated) in self.named.iter_mut().zip(&self.undated) {
+            if let (Some(course), true) = (&mut target.course, *undated) {
+                course.origin = epoch;
+            }
+        }
+    }
+    /// Place and velocity of a target, scene coordinates, `after_s` seconds after an instant.
+    fn state(&self, target: usize, utc: UtcNs, after_s: f64) -> (DVec3, DVec3) {
+        let named = &self.named[target];
+        let course = named.course.as_ref();
+        course.map_or((named.position_m, DVec3::ZERO), |c| c.at(utc, after_s))
+    }
+    /// Centre and radius of a bounding sphere of a target at an instant, metres.
+    pub(crate) fn ball_at(&self, target: usize, utc: UtcNs) -> (DVec3, f64) {
+        let (center_m, radius_m) = self.balls_m[target];
+        let moved_m = self.state(target, utc, 0.0).0 - self.named[target].position_m;
+        (center_m + moved_m, radius_m)
+    }
+    /// Passes the scatterers of a moving target to `take`, in scene coordinates, as the sound of a pulse at `utc` from `eye_m` finds them.
+    pub(crate) fn moving(
+        &self,
+        target: usize,
+        utc: UtcNs,
+        (eye_m, c): (DVec3, f64),
+        mut take: impl FnMut(MovingScatterer),
+    ) {
+        let since_s = (utc.0 - self.epoch.0) as f64 * 1e-9;
+        // The place where the sound meets the scatterer; each round is better by the ratio of the speeds.
+        let at_hit = |place: &dyn Fn(f64) -> (DVec3, DVec3)| {
+            let mut hit_s = 0.0;
+            for _ in 0..3 {
+                hit_s = place(hit_s).0.distance(eye_m) / c;
+            }
+            let (at_m, velocity) = place(hit_s);
+            (at_m - velocity * hit_s, velocity)
+        };
+        if let Some(swarm) = &self.swarms[target] {
+            for k in 0..swarm.count {
+                let place = |after_s: f64| {
+                    let (at_m, velocity) = self.state(target, utc, after_s);
+                    let one = swarm.individual(k, since_s + after_s);
+                    (at_m + one.offset_m, velocity + one.velocity_m_per_s)
+                };
+                let (position_m, velocity_m_per_s) = at_hit(&place);
+                take(MovingScatterer {
+                    position_m,
+                    velocity_m_per_s,
+                    normal: super::UP,
+                    strength: swarm.individual(k, since_s).strength,
+                    law: ScatterLaw::Point,
+                    target: target as u32,
+                });
+            }
+            return;
+        }
+        let from_m = self.named[target].position_m;
+        for i in self.span(target) {
+            let offset_m = self.scatterers.position_m(i) - from_m;
+            let place = |after_s: f64| {
+                let (at_m, velocity) = self.state(target, utc, after_s);
+                (at_m + offset_m, velocity)
+            };
+            let (position_m, velocity_m_per_s) = at_hit(&place);
+            take(MovingScatterer {
+                position_m,
+                velocity_m_per_s,
+                normal: self.scatterers.normal[i],
+                strength: self.scatterers.strength[i],
+                law: self.scatterers.law[i],
+                target: target as u32,
+            });
+        }
     }
     /// Solid of a target; none for a point.
     pub fn solid(&self, target: usize) -> Option<&Solid> {
@@ -310,6 +461,7 @@ pub(crate) fn parse(
             name: name.to_owned(),
             position_m: DVec3::new(north_m, east_m, seabed_m - height_m),
             target_strength_db: row.number(4, STRENGTHS_DB, 0.0)?,
+            course: None,
         });
         Ok(())
     })?;
@@ -318,5 +470,9 @@ pub(crate) fn parse(
 
 /// Echo pressure of a target at 1 m for unit incident pressure.
 pub(crate) fn strength(target: &Target) -> Complex64 {
-    Complex64::from(libm::pow(10.0, target.target_strength_db / 20.0))
+    Complex64::from(linear(target.target_strength_db))
+}
+
+fn linear(strength_db: f64) -> f64 {
+    libm::pow(10.0, strength_db / 20.0)
 }

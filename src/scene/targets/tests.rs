@@ -497,7 +497,7 @@ fn every_error_of_a_toml_table_names_line_field_value_and_rule() {
         (sphere.to_owned(), "line 1, column `radius_m`: ``: is missing"),
         (
             format!("{sphere}radius_m = 1\nlength_m = 2\n"),
-            "line 7: `length_m`: is not a field of a sphere; its fields are name, shape, north_m, east_m, height_above_seabed_m, down_m, target_strength_db, lambert_db, density_per_m2, radius_m",
+            "line 7: `length_m`: is not a field of a sphere; its fields are name, shape, north_m, east_m, height_above_seabed_m, down_m, target_strength_db, lambert_db, density_per_m2, velocity_m_per_s, track, radius_m",
         ),
         (
             format!("{sphere}radius_m = 1\n{sphere}radius_m = 1\n"),
@@ -513,7 +513,7 @@ fn every_error_of_a_toml_table_names_line_field_value_and_rule() {
         ),
         (
             sphere.replace("sphere", "blob"),
-            "line 3, column `shape`: `\"blob\"`: must be one of point, sphere, cylinder, box, rope, mesh",
+            "line 3, column `shape`: `\"blob\"`: must be one of point, sphere, cylinder, box, rope, mesh, school, plume",
         ),
         (
             format!("{sphere}radius_m = 5000\n"),

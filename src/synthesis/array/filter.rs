@@ -256,7 +256,7 @@ impl Decimator {
 
     /// Half the length of the impulse response as a function of time, seconds; beyond it, the
     /// response is zero.
-    pub(crate) fn response_half_s(&self) -> f64 {
+    pub fn response_half_s(&self) -> f64 {
         self.response.half_s
     }
 

@@ -18,6 +18,7 @@ pub mod culling;
 mod elementary;
 pub mod error_models;
 pub mod levels;
+pub mod moving;
 pub mod paths;
 pub mod probe;
 pub mod rays;

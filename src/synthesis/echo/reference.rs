@@ -319,7 +319,7 @@ impl<'a> Sonar<'a> {
         let transmit_facing = facing(transmit_ray_m, of_transmit);
         let receive_facing = facing(receive_ray_m, of_receive);
         let law = match (law, curve) {
-            (ScatterLaw::Point, _) => 1.0,
+            (ScatterLaw::Point | ScatterLaw::Water, _) => 1.0,
             (ScatterLaw::Lambert, _) => (transmit_facing * receive_facing).sqrt(),
             (ScatterLaw::LambertOneWay, _) => transmit_facing,
             (ScatterLaw::Curve, Some(curve)) => {

@@ -4,6 +4,8 @@ mod culling;
 mod density;
 mod engines;
 mod error_check;
+mod moving;
 mod multipath;
 mod refraction;
 mod reverberation;
+mod volume;

@@ -9,13 +9,14 @@
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of the ping |
 //! | `segments` | trajectory samples used to compute the echoes |
-//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made`; with a sound-speed profile `unreached`, of the used, by any ray; `surface` scatterers of the sea surface, and `images`, echoes by way of surface or bottom, where there are any |
+//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made`; with a sound-speed profile `unreached`, of the used, by any ray; `surface` scatterers of the sea surface, and `images`, echoes by way of surface or bottom, `volume`, drawn in the water, and `moving`, of targets, where there are any |
 //! | `error_check` | if configured and enough windows exist: `error`, `low`, `high`, `worst`, `windows`, `tolerance`, `exceeded`, `fault` |
 //! | `methods` | if the method selection applies: `plan` (the block of pings that the methods were selected on, from 1), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
-//! Keys of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
+//! Keys of a target: `name`, `target_strength_db` (of a school or a plume: of all individuals together), `position_m`; if it moves, also
+//! `velocity_m_per_s` and `range_rate_m_per_s` (growth of `range_m`), all at the start of the pulse; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
 //! every transmit array; `delays_s`, one per receive array: arrival of the echo's leading edge at the array's centre, with both ends of the path
 //! moving, and `delay_s`, the first of them; `bearing_deg`, horizontal, from the bow, starboard positive; `side`; `along_m`, `across_m` and
 //! `below_m` from the first transmit array in body axes (forward, starboard, down).
@@ -132,6 +133,11 @@ struct SceneTruth {
     /// Echoes by way of surface or bottom; absent if there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     images: Option<u64>,
+    /// Those of the water, and those that move; absent if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    volume: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    moving: Option<u64>,
 }
 
 impl From<SceneCounts> for SceneTruth {
@@ -148,6 +154,8 @@ impl From<SceneCounts> for SceneTruth {
             unreached: (c.unreached > 0).then_some(c.unreached),
             surface: (c.surface > 0).then_some(c.surface),
             images: (c.images > 0).then_some(c.images),
+            volume: (c.volume > 0).then_some(c.volume),
+            moving: (c.moving > 0).then_some(c.moving),
         }
     }
 }
@@ -196,6 +204,10 @@ struct TargetTruth<'a> {
     name: &'a str,
     target_strength_db: f64,
     position_m: [f64; 3],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    velocity_m_per_s: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    range_rate_m_per_s: Option<f64>,
     range_m: f64,
     delay_s: f64,
     delays_s: Vec<f64>,
@@ -329,7 +341,8 @@ fn target_truth<'a>(
     heading_rad: f64,
     target: &'a Target,
 ) -> TargetTruth<'a> {
-    let from = |body_m: DVec3| target.position_m - pose.point_m(body_m);
+    let (target_m, velocity) = target.at(plan.transmit_utc, 0.0);
+    let from = |body_m: DVec3| target_m - pose.point_m(body_m);
     let transmit = sonar.transmit.iter().map(|t| t.mounting.position_m);
     let ranges_m: Vec<_> = transmit.clone().map(|t| from(t).length()).collect();
     let offset = from(transmit.clone().next().unwrap_or(DVec3::ZERO));
@@ -342,12 +355,18 @@ fn target_truth<'a>(
         Side::Starboard
     };
     let delays_s: Vec<_> = (0..sonar.receive.len())
-        .map(|array| echo_delay_s(sonar, plan, array, target.position_m))
+        .map(|array| echo_delay_s(sonar, plan, array, target))
         .collect();
     TargetTruth {
         name: &target.name,
         target_strength_db: target.target_strength_db,
-        position_m: target.position_m.to_array(),
+        position_m: target_m.to_array(),
+        velocity_m_per_s: target.course.as_ref().map(|_| velocity.to_array()),
+        range_rate_m_per_s: target.course.as_ref().map(|_| {
+            let body_m = transmit.clone().next().unwrap_or(DVec3::ZERO);
+            let closing = velocity - pose.point_velocity_m_per_s(body_m);
+            closing.dot(offset) / range_m.max(f64::MIN_POSITIVE)
+        }),
         range_m,
         delay_s: delays_s
             .first()
@@ -363,20 +382,28 @@ fn target_truth<'a>(
     }
 }
 
-/// Arrival of the leading edge of an echo from `target_m` (world) at the centre of a receive array, s after the start of the pulse. NaN without a ray.
+/// Arrival of the leading edge of an echo from the position of `target` at the centre of a receive array, s after the start of the pulse. NaN without a ray.
 pub(crate) fn echo_delay_s(
     sonar: &SonarSpec,
     plan: &PingPlan,
     array: usize,
-    target_m: DVec3,
+    target: &Target,
 ) -> f64 {
     let array = &sonar.receive[array];
     let transmit = &sonar.transmit[array.transmit].mounting;
     let transmit_m = plan.trajectory.pose_at(0.0).point_m(transmit.position_m);
-    let Some(seen_m) = echotank_ping::virtual_point_m(plan, target_m) else {
-        return f64::NAN;
-    };
-    let first_leg_m = seen_m.distance(transmit_m);
+    let (mut first_leg_m, mut seen_m) = (0.0, transmit_m);
+    // A moving target is where the sound finds it. Each round reduces the error by the ratio of the speeds.
+    let rounds = if target.course.is_some() { 12 } else { 1 };
+    for _ in 0..rounds {
+        let hit_s = first_leg_m / plan.sound_speed_m_per_s;
+        let (target_m, _) = target.at(plan.transmit_utc, hit_s);
+        let Some(virtual_m) = echotank_ping::virtual_point_m(plan, target_m) else {
+            return f64::NAN;
+        };
+        seen_m = virtual_m;
+        first_leg_m = seen_m.distance(transmit_m);
+    }
     delay_s(plan, first_leg_m, array.mounting.position_m, seen_m)
 }
 
@@ -408,6 +435,7 @@ mod tests {
             name: name.into(),
             position_m,
             target_strength_db: -20.0,
+            course: None,
         }
     }
 

@@ -134,6 +134,35 @@ fn a_bad_surface_is_refused_with_value_and_rule() {
 }
 
 #[test]
+fn bad_volume_reverberation_is_refused_with_key_value_and_rule() {
+    let minimal = fs::read_to_string(broken_dir().join("../minimal.toml")).expect("readable");
+    for (medium, words) in [
+        (
+            "volume = [{ top_m = 9, bottom_m = 9, sv_db = -70 }]",
+            "bottom_m = 9: must be greater than top_m = 9",
+        ),
+        (
+            "volume = [{ top_m = 0, bottom_m = 9, sv_db = -70 }, { top_m = 8, bottom_m = 12, sv_db = -70 }]",
+            "top_m = 8: the layer must not overlap that from 0 to 9 m",
+        ),
+        (
+            "volume = [{ top_m = 0, bottom_m = 9, sv_db = 70 }]",
+            "sv_db = 70: must be",
+        ),
+        ("volume = [{ top_m = 0, bottom_m = 9 }]", "sv_db: missing"),
+        (
+            "volume_scatterers_per_cell = 2.0",
+            "medium.volume_scatterers_per_cell = 2.0: only with a layer: [[medium.volume]]",
+        ),
+    ] {
+        let text = format!("{minimal}\n[medium]\n{medium}\n");
+        let errors = config_files::parse(&text, &broken_dir()).expect_err(medium);
+        let said = errors.to_string();
+        assert!(said.contains(words), "{medium}:\n{said}\nwant {words}");
+    }
+}
+
+#[test]
 fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
     for file in broken_files() {
         let text = fs::read_to_string(&file).expect("readable");

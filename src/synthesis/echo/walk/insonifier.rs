@@ -182,7 +182,7 @@ impl Insonifier<'_> {
             return false;
         }
         let (law, bias, normal) = match scatterers.law[i] {
-            ScatterLaw::Point => (1.0, 1.0, [0.0; 3]),
+            ScatterLaw::Point | ScatterLaw::Water => (1.0, 1.0, [0.0; 3]),
             ScatterLaw::Lambert => (facing.sqrt(), 0.0, scatterers.normal[i]),
             ScatterLaw::LambertOneWay => (facing, 1.0, [0.0; 3]),
             ScatterLaw::Curve => {

@@ -4,6 +4,7 @@
 mod error_models;
 mod gridded_lines;
 mod line_array;
+mod moving;
 mod paths;
 mod probe;
 mod rays;
