@@ -9,6 +9,7 @@ pub(crate) mod density;
 mod devices;
 mod families;
 mod faults;
+mod instrument;
 mod nav;
 mod output;
 mod overload;
@@ -272,6 +273,11 @@ fn rig(
     let faults = faults::faults(table.fault.all(), problems);
     for (sonar, t) in sonars.iter_mut().zip(tables) {
         if let Some(sonar) = sonar {
+            sonar.instrument = instrument::instrument(t, sonar, files, problems);
+        }
+    }
+    for (sonar, t) in sonars.iter_mut().zip(tables) {
+        if let Some(sonar) = sonar {
             output::note_element_needs(sonar, t, control.as_ref(), &faults, problems);
         }
     }
@@ -393,7 +399,8 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
             .map(|db_per_m| AbsorptionSpec::Fixed { db_per_m }),
         _ => None,
     };
-    let surface = table.surface.given_and_then(surface);
+    let wind_m_per_s = table.wind_m_per_s.get();
+    let surface = table.surface.given_and_then(|t| surface(t, wind_m_per_s?));
     let multipath = table.multipath.given_and_then(multipath);
     if table.multipath.given && table.profile.given {
         let rule = "not with [medium.profile]: reflected echoes need water of one sound speed";
@@ -411,11 +418,12 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
         volume: volume(table, problems)?,
         surface: surface?,
         multipath: multipath?,
+        wind_m_per_s: wind_m_per_s?,
     })
 }
 
 /// The sea surface. The density of its scatterers follows when the sonars are known.
-fn surface(table: &keys::Surface) -> Option<SurfaceSpec> {
+fn surface(table: &keys::Surface, wind_m_per_s: f64) -> Option<SurfaceSpec> {
     let scattering = match table.scattering.get()? {
         true => Some(SurfaceScatteringSpec {
             density: Density::PerM2(1.0),
@@ -424,7 +432,7 @@ fn surface(table: &keys::Surface) -> Option<SurfaceSpec> {
         false => None,
     };
     Some(SurfaceSpec {
-        wind_m_per_s: table.wind_m_per_s.get()?,
+        wind_m_per_s,
         roughness_m: table.roughness_m.if_given()?,
         slope_rad: table.slope_deg.if_given()?,
         down_m: table.down_m.get()?,

@@ -117,6 +117,7 @@ macro_rules! table {
 pub(crate) mod devices;
 pub(crate) mod families;
 pub(crate) mod faults;
+pub(crate) mod instrument;
 mod nav;
 pub(crate) mod samples;
 mod scene;
@@ -174,6 +175,9 @@ table! {
     depth_m: Number(from(0.0, 11_000.0)), Default("50.0");
     ph: Number(from(6.0, 9.0)), Default("8.0");
 
+    /// Wind speed at a height of 10 m, for receiver.noise_db = "ambient" and for height, slopes and bubbles of \[medium.surface].
+    wind_m_per_s: Number(from(0.0, 40.0)), Default("5.0");
+
     /// Layers of water that scatter: plankton, bubbles, suspended matter. Left out: no volume reverberation.
     volume: Tables(VolumeLayer, 100), Optional("");
 
@@ -215,9 +219,6 @@ table! {
 table! {
     /// The sea surface.
     Surface;
-
-    /// Wind speed at a height of 10 m: height, slopes and bubbles of the surface.
-    wind_m_per_s: Number(from(0.0, 40.0)), Default("0.0");
 
     /// Rms height. Default: 0.0053 times the square of the wind speed.
     roughness_m: Number(from(0.0, 10.0)), Optional("0.1");

@@ -24,6 +24,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use echotank_core::arrays::{ArrayGeometry, Receiver, TransmitArray};
+use echotank_core::instrument::Instrument;
 use echotank_core::model::ModelChoice;
 use echotank_core::navigation::NavQuantity;
 use echotank_core::ping::Side;
@@ -74,6 +75,8 @@ pub struct MediumSpec {
     pub profile: Option<Arc<SoundSpeedProfile>>,
     /// Absorption law or value.
     pub absorption: AbsorptionSpec,
+    /// Wind over the surface, metres per second.
+    pub wind_m_per_s: f64,
     /// The sea surface; `None`: calm, and it scatters nothing.
     pub surface: Option<SurfaceSpec>,
     /// Echoes by way of surface and bottom, if they are computed.
@@ -1207,6 +1210,8 @@ pub struct SonarSpec {
     pub receive_names: Vec<String>,
     /// Receiver chain after the elements.
     pub receiver: Receiver,
+    /// Imperfections of transducers and receiver; `None` without any.
+    pub instrument: Option<Instrument>,
     /// Initial settings.
     pub settings: SonarSettings,
     /// Limits of the settings.

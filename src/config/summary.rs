@@ -1,6 +1,7 @@
 //! Summary of the derived quantities of a rig, as text.
 
 mod families;
+mod instrument;
 mod nav;
 mod outputs;
 mod rates;
@@ -312,6 +313,7 @@ fn write_sonar(
         gain(&sonar.receiver, settings.range_m)
     );
     line(out, "  gain", &text)?;
+    instrument::write(out, sonar)?;
     write_arrays(out, sonar, d.wavelength_m)?;
     write_beams(out, sonar)?;
     line(out, "  model", &model(sonar))?;

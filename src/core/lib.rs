@@ -8,6 +8,7 @@
 pub mod arrays;
 pub mod frames;
 pub mod geodesy;
+pub mod instrument;
 pub mod model;
 pub mod navigation;
 mod parts;

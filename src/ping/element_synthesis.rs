@@ -15,6 +15,7 @@ use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::filter::{self, Decimator, FilterDesign, FilterError, grid_ahead};
 use echotank_synthesis::array::gridded::DopplerSpan;
 use echotank_synthesis::array::gridded2d::Refusal;
+use echotank_synthesis::array::instrument::InstrumentError;
 use echotank_synthesis::comparison::Comparison;
 use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::echo::moving::MovingEchoes;
@@ -51,6 +52,9 @@ pub enum PipelineError {
     /// `gridded-lines` cannot be used for this sonar.
     #[error("sonar.model.synthesis = \"gridded-lines\": {0}")]
     Lines(EngineRefusal),
+    /// The imperfections of the sonar cannot be computed.
+    #[error("{0}")]
+    Instrument(#[from] InstrumentError),
 }
 
 /// The receiver filter leaves room for the Doppler of a platform as fast as this, m/s.

@@ -3,6 +3,7 @@
 //! In: a sonar with its methods, a ping's plan, the counts of its scene and the table of costs. Out: [`PingCost`]. Gathering, methods, receiver and beams
 //! share the threads; the records of a ping are made by one thread. Not counted: `scene.simplify`, error checks, motion of targets, delivery and page.
 
+use crate::element_synthesis::doppler_hz;
 use crate::method_selection::costs::Costs;
 use crate::plan;
 use crate::work::{Figure, Work};
@@ -10,6 +11,7 @@ use echotank_config::spec::{JsfChannels, JsfFormat, OutputSpec, PingDevice, Sona
 use echotank_core::ping::{PingPlan, SceneCounts};
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::work::BeamWork;
+use echotank_synthesis::array::instrument::InstrumentWork;
 
 /// Results of a ping in the Ping protocol, and points of one side of an Imagenex 872.
 const PING_RESULTS: f64 = 1200.0;
@@ -22,7 +24,7 @@ pub struct PingCost {
     pub gather_ms: f64,
     /// Echoes at the elements, by the chosen methods.
     pub methods_ms: f64,
-    /// Noise, gain and converter of every element.
+    /// Imperfections, noise, gain and converter of every element.
     pub receiver_ms: f64,
     /// Beams, side-scan lines and bottom detection.
     pub beams_ms: f64,
@@ -92,7 +94,11 @@ fn receiver(sonar: &SonarSpec, plan: &PingPlan) -> Work {
         Some(_) => samples,
         None => 0.0,
     };
-    Work::of(Figure::Noise, noise).and(Figure::Received, samples)
+    let doppler_hz = doppler_hz(sonar, plan.sound_speed_m_per_s);
+    let instrument = InstrumentWork::of(sonar, doppler_hz);
+    Work::of(Figure::Noise, noise)
+        .and(Figure::Received, samples * (1.0 + instrument.passes))
+        .and(Figure::BeamProduct, samples * instrument.products)
 }
 
 fn elements(sonar: &SonarSpec) -> usize {

@@ -11,7 +11,8 @@ use rayon::prelude::*;
 
 pub use crate::element_synthesis::PipelineError;
 use crate::element_synthesis::{
-    ElementScratch, ElementSynthesis, doppler_hz, of_this_thread, receiver_filter, shortest_pulse,
+    ElementScratch, ElementSynthesis, doppler_hz, filter_design, of_this_thread, receiver_filter,
+    shortest_pulse,
 };
 use crate::error_check::ErrorChecker;
 use crate::footprints::{footprints, max_echo_range_m};
@@ -29,6 +30,7 @@ use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_imaging::image::bottom::BottomDetector;
 use echotank_synthesis::array::faults::{ActiveFault, apply_fault};
+use echotank_synthesis::array::instrument::{ElementInstrument, InstrumentSizes};
 use echotank_synthesis::array::{fill_gains, receive};
 
 /// No bottom is looked for nearer than this beyond the pulse, metres.
@@ -60,6 +62,8 @@ pub struct SonarPipeline {
     more_pulses: Vec<MorePulse>,
     fan: Option<Fan>,
     bottom: Option<BottomDetector>,
+    /// Imperfections of transducers and receiver.
+    instrument: Option<ElementInstrument>,
     /// Of the next ping.
     faults: Vec<ActiveFault>,
     spoiling: Vec<Complex64>,
@@ -120,6 +124,7 @@ impl SonarPipeline {
                 .map(|line| LineFormer::of_sonar(spec, line, limits, medium.sound_speed_m_per_s))
                 .collect(),
             bottom: bottom(spec, limits),
+            instrument: instrument(spec, medium, limits)?,
             faults: Vec::new(),
             spoiling: Vec::new(),
             gains: Vec::with_capacity(limits.samples),
@@ -255,8 +260,9 @@ impl SonarPipeline {
         }
     }
 
-    /// The receiver of every element: filter tails, noise, gain and converter, then the elements' faults.
+    /// The receiver of every element: imperfections, noise, gain and converter, then the elements' faults.
     pub(crate) fn receive(&mut self, plan: &PingPlan, output: &mut PingOutput) {
+        self.pass_instrument(plan, &mut output.elements);
         self.fill_gains(plan);
         for (index, frame) in output.elements.iter_mut().enumerate() {
             self.receive_array(plan, index, frame);
@@ -291,11 +297,21 @@ impl SonarPipeline {
 
     /// Whatever lies farther than this from every transmitter has no part in the first `end` samples of a ping, metres.
     pub(crate) fn max_echo_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
+        let end = self.synthesised_end(plan, end);
         let samples = std::mem::replace(&mut plan.sample_count, end);
         // As far as the receiver filter looks ahead.
         let (first_s, rate_hz, len) = self.synthesis.grid(plan);
         plan.sample_count = samples;
         max_echo_range_m(&self.spec, plan, first_s + len as f64 / rate_hz)
+    }
+
+    /// Number of samples to synthesise for the first `end` of a ping: the response of the transducers looks ahead.
+    fn synthesised_end(&self, plan: &PingPlan, end: usize) -> usize {
+        let ahead = self
+            .instrument
+            .as_ref()
+            .map_or(0, ElementInstrument::lookahead);
+        (end + ahead).min(plan.sample_count.max(end))
     }
 
     /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing
@@ -316,12 +332,18 @@ impl SonarPipeline {
             self.synthesis.insonify(plan, scatterers, walk);
             self.synthesis.insonify_moving(plan, scatterers, 0.0);
         }
-        let samples = std::mem::replace(&mut plan.sample_count, end);
+        let synthesised = self.synthesised_end(plan, end);
+        let samples = std::mem::replace(&mut plan.sample_count, synthesised);
         self.synthesis.limit_to_window(plan);
         self.is_quiet = scatterers.is_empty();
-        self.fill_gains(plan);
         for (index, frame) in elements.iter_mut().enumerate() {
             self.synthesise_array(plan, scatterers, index, frame, &mut counts);
+        }
+        self.pass_instrument(plan, elements);
+        plan.sample_count = end;
+        self.fill_gains(plan);
+        for (index, frame) in elements.iter_mut().enumerate() {
+            cut(frame, end);
             self.receive_array(plan, index, frame);
         }
         self.is_quiet = false;
@@ -401,6 +423,25 @@ impl SonarPipeline {
         counts
     }
 
+    /// Imperfections of transducers and receiver ahead of noise and gain.
+    fn pass_instrument(&mut self, plan: &PingPlan, frames: &mut [ElementFrame]) {
+        let Some(instrument) = &mut self.instrument else {
+            return;
+        };
+        instrument.prepare(plan);
+        if instrument.acts_on_elements() {
+            for (index, frame) in frames.iter_mut().enumerate() {
+                let (instrument, scratch) = (&*instrument, &self.scratch);
+                let elements = frame.iq.par_chunks_mut(plan.sample_count).enumerate();
+                elements.for_each(|(element, iq)| {
+                    let before = &mut of_this_thread(scratch).own;
+                    instrument.add_to_element(plan, index, element, iq, before);
+                });
+            }
+        }
+        instrument.couple(frames);
+    }
+
     fn fill_gains(&mut self, plan: &PingPlan) {
         let receiver = &self.spec.receiver;
         fill_gains(plan, receiver, plan.sample_count, &mut self.gains);
@@ -410,6 +451,7 @@ impl SonarPipeline {
     fn receive_array(&mut self, plan: &PingPlan, index: usize, frame: &mut ElementFrame) {
         let array = &self.spec.receive[index];
         let (receiver, gains) = (&self.spec.receiver, &self.gains);
+        let instrument = self.instrument.as_ref();
         let together = if self.is_quiet {
             array.elements.max(1)
         } else {
@@ -423,10 +465,40 @@ impl SonarPipeline {
             .zip(&mut *results)
             .enumerate()
             .for_each(|(element, (iq, result))| {
+                if let Some(instrument) = instrument {
+                    instrument.add_tones(iq);
+                }
                 result.saturated = receive(plan, receiver, gains, array, index, element, iq);
             });
         frame.saturated = results.iter().map(|result| result.saturated).sum();
     }
+}
+
+fn instrument(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+    limits: RowLimits,
+) -> Result<Option<ElementInstrument>, PipelineError> {
+    let c = medium.sound_speed_m_per_s;
+    let sizes = InstrumentSizes {
+        filter: filter_design(spec, spec.model.synthesis, c),
+        doppler_hz: doppler_hz(spec, c),
+        max_samples: limits.samples,
+    };
+    Ok(ElementInstrument::new(spec, sizes)?)
+}
+
+/// Keeps the first `end` samples of every element.
+fn cut(frame: &mut ElementFrame, end: usize) {
+    if frame.samples == end {
+        return;
+    }
+    for element in 1..frame.elements {
+        let from = element * frame.samples;
+        frame.iq.copy_within(from..from + end, element * end);
+    }
+    frame.samples = end;
+    frame.iq.truncate(frame.elements * end);
 }
 
 fn bottom(spec: &SonarSpec, limits: RowLimits) -> Option<BottomDetector> {

@@ -3,7 +3,12 @@
 use std::sync::Arc;
 
 use echotank_config::spec::{Density, MultipathSpec, SurfaceSpec};
+use echotank_core::instrument::{
+    Crosstalk, ElementSpread, Instrument, Leakage, Resonance, SecondSonar, Tone, ToneEntry,
+    TransducerResponse,
+};
 use echotank_core::model::Synthesis;
+use echotank_core::pulse::Pulse;
 use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_ping::threads::pool;
 use echotank_testing::allocations;
@@ -14,6 +19,7 @@ fn allocations_per_ping(
     file: &str,
     profile: Option<Vec<(f64, f64)>>,
     reflects: bool,
+    has_instrument: bool,
     threads: usize,
     count: usize,
     watched: usize,
@@ -53,6 +59,7 @@ fn allocations_per_ping(
         sonar.synthesis.auto = Default::default();
         sonar.model.synthesis = Synthesis::Direct;
         sonar.model.cull_db = Some(-24.0);
+        sonar.instrument = has_instrument.then(|| instrument(sonar.pulse));
     }
     let pool = pool(threads).expect("threads");
     pool.install(|| {
@@ -71,6 +78,46 @@ fn allocations_per_ping(
     })
 }
 
+/// Every imperfection of an instrument.
+fn instrument(pulse: Pulse) -> Instrument {
+    let frequency_hz = pulse.center_frequency_hz;
+    let resonance = Resonance {
+        q: 10.0,
+        frequency_hz,
+    };
+    Instrument {
+        leakage: Some(Leakage {
+            level_db: -60.0,
+            ring_down: Some(resonance),
+        }),
+        crosstalk: Crosstalk {
+            elements_db: Some(-40.0),
+            arrays_db: Some(-50.0),
+        },
+        response: Some(TransducerResponse::Resonance(resonance)),
+        element_spread: ElementSpread {
+            gain_db: 0.5,
+            phase_rad: 0.1,
+            ..ElementSpread::default()
+        },
+        tones: vec![Tone {
+            frequency_hz: frequency_hz + 500.0,
+            level_db: -80.0,
+            phase_rad: 0.0,
+            entry: ToneEntry::Input,
+        }],
+        second_sonars: vec![SecondSonar {
+            pulse,
+            period_s: 0.013,
+            offset_s: 0.0,
+            drift_ppm: 10.0,
+            bearing_rad: 1.0,
+            depression_rad: 0.1,
+            level_db: 120.0,
+        }],
+    }
+}
+
 #[test]
 fn a_ping_allocates_nothing_after_warm_up() {
     let _alone = allocations::alone();
@@ -82,6 +129,8 @@ fn a_ping_allocates_nothing_after_warm_up() {
         assert_eq!(bent, [0; 4], "points in a profile, {threads} threads");
         let reflected = allocations_per_ping("points.toml", None, true, threads, 8, 4);
         assert_eq!(reflected, [0; 4], "points and images, {threads} threads");
+        let imperfect = allocations_per_ping("points.toml", None, true, threads, 8, 4);
+        assert_eq!(imperfect, [0; 4], "imperfect points, {threads} threads");
         // Over a seabed, new tiles appear as the ship moves, and a ping may have more scatterers than all before. Both rarely grow
         // a buffer, and nothing else allocates.
         let seabed = allocations_per_ping("quickstart.toml", None, false, threads, 36, 20);

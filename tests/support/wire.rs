@@ -105,6 +105,7 @@ pub fn sonar() -> SonarSpec {
             full_scale_v: FULL_SCALE_V,
             seed: 1,
         },
+        instrument: None,
         settings: SETTINGS,
         limits: LimitsSpec {
             range_m: (5.0, 200.0),

@@ -9,6 +9,7 @@ use super::super::spec::*;
 use super::arrays::Arrays;
 use super::devices;
 use super::families;
+use super::instrument::ambient_noise_db;
 use super::picture::picture;
 use super::samples::{self, Source};
 use super::trigger;
@@ -177,6 +178,8 @@ pub(crate) fn sonar<'t>(
         receive: all(receive.clone()).filter(|r| !r.is_empty())?,
         receive_names: owned(&receive_names)?,
         receiver: receiver?,
+        // Set with the files of the rig.
+        instrument: None,
         settings: settings?,
         limits: limits?,
         trigger: trigger?,
@@ -438,20 +441,6 @@ fn receive(
 
 // ---------------------------------------------------------------- receiver
 
-/// Wind over the surface with `noise_db = "ambient"`, m/s: a moderate breeze.
-const WIND_M_PER_S: f64 = 5.0;
-
-/// Thermal noise, and noise of the surface by wind, at a frequency, dB re 1 uPa^2/Hz (Coates 1990: N_th = -15 + 20 log f, N_w = 50 + 7.5 sqrt(w) + 20
-/// log f - 40 log (f + 0.4), f in kHz and w in m/s).
-fn ambient_noise_db(frequency_hz: f64) -> f64 {
-    let khz = 1e-3 * frequency_hz;
-    let thermal_db = -15.0 + 20.0 * libm::log10(khz);
-    let surface_db =
-        50.0 + 7.5 * WIND_M_PER_S.sqrt() + 20.0 * libm::log10(khz) - 40.0 * libm::log10(khz + 0.4);
-    let power = libm::exp10(0.1 * thermal_db) + libm::exp10(0.1 * surface_db);
-    10.0 * libm::log10(power)
-}
-
 fn receiver(
     table: &keys::Receiver,
     pulse: Option<&Pulse>,
@@ -497,7 +486,10 @@ fn receiver(
         tvg: tvg?,
         noise_db: match (table.noise_db.text(), table.noise_db.other()) {
             (Some("none"), _) => None,
-            (Some(_), _) => Some(ambient_noise_db(pulse?.center_frequency_hz)),
+            (Some(_), _) => Some(ambient_noise_db(
+                pulse?.center_frequency_hz,
+                medium?.wind_m_per_s,
+            )),
             (None, given) => Some(*given?),
         },
         adc_bits: table.adc_bits.given_and_then(|&n| n.try_into().ok())?,

@@ -19,6 +19,7 @@ table! {
     transmit: Tables(Transmit, 32), Required("");
     receive: Tables(Receive, 256), Required("");
     receiver: Table(Receiver), Required("");
+    instrument: Table(instrument::Instrument), Optional("");
     ping: Table(Ping), Required("");
     limits: Table(Limits), Default("{}");
     trigger: Table(trigger::Trigger), Default("{}");
@@ -149,8 +150,8 @@ table! {
     /// Only with one of the "logr" laws.
     tvg_max_db: Number(from(0.0, 300.0)), Default("120.0");
 
-    /// Noise at the elements, dB re 1 uPa^2/Hz. "ambient": thermal noise, and that of the surface at 5 m/s of wind, at the centre frequency (Coates
-    /// 1990).
+    /// Noise at the elements, dB re 1 uPa^2/Hz, as of omnidirectional ones. "ambient": thermal noise, and that of the surface at medium.wind_m_per_s, at
+    /// the centre frequency (Coates 1990).
     noise_db: ChoiceOrNumber(from(-200.0, 250.0), "ambient", "none"), Default("\"ambient\"");
 
     /// Default: no quantisation.

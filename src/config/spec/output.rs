@@ -66,6 +66,8 @@ impl SonarSpec {
             "each of several pulses is filtered separately"
         } else if self.receiver.adc_bits.is_some() {
             "each has its own A/D converter"
+        } else if self.instrument.is_some() {
+            "sonar.instrument acts on single elements"
         } else if (2..=least).all(any) {
             "the arrays cannot be divided into equal parts"
         } else if fixed && unsuited {

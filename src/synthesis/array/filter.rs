@@ -309,6 +309,20 @@ impl Decimator {
         }
     }
 
+    /// Taps at the dense rate.
+    pub(super) fn taps(&self) -> &[f64] {
+        &self.taps
+    }
+
+    /// Filters at the dense rate without decimation. `dense` has one sample less than the filter has taps more than `out`; `out[0]` is the
+    /// sample at the middle of the first taps.
+    pub(super) fn apply_dense(&self, dense: &[Complex64], out: &mut [Complex64]) {
+        assert_eq!(dense.len() + 1, out.len() + self.taps.len());
+        for (n, sample) in out.iter_mut().enumerate() {
+            *sample = dot(&self.taps, &dense[n..]);
+        }
+    }
+
     /// Gain at `offset_hz` from the centre frequency; real, since the delay is removed.
     pub fn gain(&self, offset_hz: f64) -> f64 {
         let half = self.half();

@@ -1,11 +1,9 @@
 //! Synthesis of element samples from arrivals, and the receiver chain.
 //!
 //! The input is the [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of one element. The result is samples of its complex envelope
-//! in volts. [`direct`] sums the echoes. [`filter`] decimates a dense sum to the sample rate. [`receiver`] applies noise, gain and
-//! conversion, and [`faults`] applies faults. [`gridded`] sums the echoes of one element on a grid within a tolerance.
-//! [`gridded2d`] and [`lines`] sum the echoes of all elements of a line array together.
-//!
-//! Not modelled: transmit leakage.
+//! in volts. [`direct`] sums the echoes. [`filter`] decimates a dense sum to the sample rate. [`gridded`] sums the echoes of one
+//! element on a grid within a tolerance. [`gridded2d`] and [`lines`] sum the echoes of all elements of a line array together.
+//! [`instrument`] applies imperfections of transducers and receiver, [`receiver`] noise, gain and conversion, and [`faults`] faults.
 
 pub mod direct;
 pub mod error_models;
@@ -13,6 +11,7 @@ pub mod faults;
 pub mod filter;
 pub mod gridded;
 pub mod gridded2d;
+pub mod instrument;
 pub mod lines;
 mod noise;
 pub(crate) mod phasor;

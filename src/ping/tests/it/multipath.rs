@@ -305,7 +305,7 @@ fn the_second_bottom_echo_has_the_level_of_the_images_at_12_100_and_400_khz() {
     );
     for khz in [12.0, 100.0, 400.0] {
         let medium = format!(
-            "[medium.surface]\nroughness_m = 0.005\nslope_deg = 4.0\n[medium.multipath]\nbottom_density_ratio = {density}\nbottom_speed_ratio = {speed}\nbottom_roughness_m = 0.002\nbottom_slope_deg = 2.0"
+            "wind_m_per_s = 0.0\n[medium.surface]\nroughness_m = 0.005\nslope_deg = 4.0\n[medium.multipath]\nbottom_density_ratio = {density}\nbottom_speed_ratio = {speed}\nbottom_roughness_m = 0.002\nbottom_slope_deg = 2.0"
         );
         let setup = Setup {
             khz,
@@ -360,7 +360,7 @@ fn the_surface_scatters_at_its_strength_from_its_depth_on_and_decorrelates() {
     let wind = 8.0;
     for khz in [30.0, 400.0] {
         let medium = format!(
-            "[medium.surface]\nwind_m_per_s = {wind}\nscattering = true\ncorrelation_time_ms = 40.0"
+            "wind_m_per_s = {wind}\n[medium.surface]\nscattering = true\ncorrelation_time_ms = 40.0"
         );
         // The seabed sets the density of the surface's scatterers and is out of range.
         let scene = plane(60.0, "density_per_m2 = 60.0");
@@ -433,7 +433,7 @@ fn rough_paths_are_longer_by_what_the_slopes_say() {
     let setup = Setup {
         khz: 400.0,
         range_m: 14.0,
-        medium: "[medium.surface]\nroughness_m = 0.05\nslope_deg = 3.0\n[medium.multipath]\nlegs = \"surface\"",
+        medium: "wind_m_per_s = 0.0\n[medium.surface]\nroughness_m = 0.05\nslope_deg = 3.0\n[medium.multipath]\nlegs = \"surface\"",
         scene: &plane(BOTTOM_M, "density_per_m2 = 400.0"),
         model: DIRECT,
         patterns: OMNI,
@@ -478,7 +478,7 @@ fn reflected_echoes_have_the_same_bits_for_any_threads_and_history() {
     let setup = Setup {
         khz: 100.0,
         range_m: 25.0,
-        medium: "[medium.surface]\nwind_m_per_s = 5.0\nscattering = true\n[medium.multipath]",
+        medium: "wind_m_per_s = 5.0\n[medium.surface]\nscattering = true\n[medium.multipath]",
         scene: &plane(8.0, "density_per_m2 = 4.0\nbottom = \"sand\""),
         model: DIRECT,
         patterns: OMNI,
@@ -529,7 +529,7 @@ fn a_narrow_beam_behind_its_floor_hears_the_whole_second_echo() {
         let setup = Setup {
             khz: 200.0,
             range_m: 18.0,
-            medium: "[medium.surface]\nroughness_m = 0.05\nslope_deg = 6.0\n[medium.multipath]\nbottom_slope_deg = 3.0",
+            medium: "wind_m_per_s = 0.0\n[medium.surface]\nroughness_m = 0.05\nslope_deg = 6.0\n[medium.multipath]\nbottom_slope_deg = 3.0",
             scene: &plane(BOTTOM_M, "density_per_m2 = 60.0"),
             model: &model,
             patterns: [

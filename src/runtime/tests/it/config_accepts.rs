@@ -15,7 +15,7 @@ use serde_json::Value;
 use super::config_refuses::difference;
 
 /// Names of the accepted configurations in tests/data/config.
-const ACCEPTED: [&str; 4] = ["minimal", "everything", "towed", "streaming"];
+const ACCEPTED: [&str; 5] = ["minimal", "everything", "towed", "streaming", "instrument"];
 
 fn load(path: &Path) -> RigSpec {
     config_files::load(path).unwrap_or_else(|errors| panic!("{}: {errors}", path.display()))

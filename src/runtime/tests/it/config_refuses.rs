@@ -118,8 +118,8 @@ fn a_bad_surface_is_refused_with_value_and_rule() {
             "medium.multipath.legs = \"bottom\": must be \"surface\" or \"surface-bottom\"",
         ),
         (
-            "surface = { wind_m_per_s = 41 }",
-            "medium.surface.wind_m_per_s = 41: must be a number from 0 to 40",
+            "wind_m_per_s = 41",
+            "medium.wind_m_per_s = 41: must be a number from 0 to 40",
         ),
         (
             "surface = { correlation_time_ms = 10 }",
@@ -159,6 +159,81 @@ fn bad_volume_reverberation_is_refused_with_key_value_and_rule() {
         let errors = config_files::parse(&text, &broken_dir()).expect_err(medium);
         let said = errors.to_string();
         assert!(said.contains(words), "{medium}:\n{said}\nwant {words}");
+    }
+}
+
+#[test]
+fn a_bad_instrument_is_refused_with_place_value_and_rule() {
+    let minimal = fs::read_to_string(broken_dir().join("../minimal.toml")).expect("readable");
+    let second =
+        "[[sonar.instrument.second_sonar]]\nkind = \"cw\"\nbearing_deg = 10.0\nlevel_db = 120.0\n";
+    let second = |lines: &str| format!("{second}{lines}");
+    for (instrument, words) in [
+        (
+            "[sonar.instrument]\nring_down_q = 9.0".into(),
+            "sonar[0].instrument.ring_down_q = 9.0: only with leakage_db",
+        ),
+        (
+            "[sonar.instrument]\nleakage_db = -70.0\nring_down_khz = 9.0".into(),
+            "sonar[0].instrument.ring_down_khz = 9.0: only with ring_down_q",
+        ),
+        (
+            "[sonar.instrument]\nleakage_db = -70.0\nring_down_q = 0.1".into(),
+            "sonar[0].instrument.ring_down_q = 0.1: must be a number from 0.5 to 1000",
+        ),
+        (
+            "[sonar.instrument]\ncrosstalk_arrays_db = -40.0".into(),
+            "sonar[0].instrument.crosstalk_arrays_db = -40.0: needs at least two receive arrays",
+        ),
+        (
+            "[sonar.instrument]\nelement_seed = 4".into(),
+            "sonar[0].instrument.element_seed = 4: only with element_gain_db or element_phase_deg",
+        ),
+        (
+            "[sonar.instrument]\nelement_file = \"elements.csv\"\nelement_gain_db = 1.0".into(),
+            "sonar[0].instrument.element_gain_db = 1.0: only with no element_file",
+        ),
+        (
+            "[sonar.instrument]\nelement_file = \"elements.csv\"".into(),
+            "sonar[0].instrument.element_file = \"elements.csv\": line 3: element 16: must be a whole number from 0 to 15",
+        ),
+        (
+            "[sonar.instrument]\nelement_file = \"track.csv\"".into(),
+            "must be the name of a receive array: rx",
+        ),
+        (
+            "[sonar.instrument]\nresponse = {}".into(),
+            "sonar[0].instrument.response: must have either `q` or `file`",
+        ),
+        (
+            "[sonar.instrument]\nresponse = { file = \"response.csv\" }".into(),
+            "sonar[0].instrument.response.file = \"response.csv\": line 4: 200 kHz: must be greater than 200 kHz, the frequency before",
+        ),
+        (
+            "[sonar.instrument]\nresponse = { file = \"../response.csv\" }".into(),
+            "400 to 500 kHz: must cover the band of the pulse, 190 to 210 kHz",
+        ),
+        (
+            "[sonar.instrument]\nresponse = { file = \"elements.csv\" }".into(),
+            "line 2: \"rx,0,0.5,3\": must be a frequency in kHz, dB and degrees",
+        ),
+        (
+            second("center_frequency_khz = 900.0\nduration_ms = 1.0\nperiod_ms = 100.0"),
+            "second_sonar[0].center_frequency_khz = 900.0: must keep its band within 240 kHz of sonar.pulse.center_frequency_khz = 200",
+        ),
+        (
+            second("center_frequency_khz = 190.0\nduration_ms = 100.0\nperiod_ms = 100.0"),
+            "second_sonar[0].period_ms = 100.0: must be longer than duration_ms",
+        ),
+        (
+            "[sonar.instrument]\nleakage_db = -70.0\n[sonar.model]\noutput = \"beams\"\n[sonar.beams]\nport = \"rx\"".into(),
+            "sonar[0].model.output = \"beams\": must be \"elements\" or \"auto\": sonar.instrument acts on single elements",
+        ),
+    ] {
+        let text = format!("{minimal}\n{instrument}\n");
+        let errors = config_files::parse(&text, &broken_dir()).expect_err(&instrument);
+        let said = errors.to_string();
+        assert!(said.contains(words), "{instrument}:\n{said}\nwant {words}");
     }
 }
 
