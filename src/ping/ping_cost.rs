@@ -32,6 +32,9 @@ pub struct PingCost {
     pub records_ms: f64,
 }
 
+/// Cost of a tap of a transducer response, in products of a beamformer: measured at 0.4 ns.
+const PRODUCTS_PER_TAP: f64 = 1.6;
+
 impl PingCost {
     /// Of a sonar whose methods cost `methods_ms`; `sonar` has them.
     pub fn new(
@@ -98,7 +101,10 @@ fn receiver(sonar: &SonarSpec, plan: &PingPlan) -> Work {
     let instrument = InstrumentWork::of(sonar, doppler_hz);
     Work::of(Figure::Noise, noise)
         .and(Figure::Received, samples * (1.0 + instrument.passes))
-        .and(Figure::BeamProduct, samples * instrument.products)
+        .and(
+            Figure::BeamProduct,
+            samples * instrument.products * PRODUCTS_PER_TAP,
+        )
 }
 
 fn elements(sonar: &SonarSpec) -> usize {

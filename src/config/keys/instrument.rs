@@ -85,7 +85,7 @@ table! {
 
     /// Width of the sweep. Only with kind = "lfm".
     bandwidth_khz: Khz(above(0.0, 10_000.0)), Shown("10.0"), needed with kind = "lfm";
-    duration_ms: Ms(from(0.001, 10_000.0)), Required("1.0");
+    duration_ms: Ms(from(0.001, 200.0)), Required("1.0");
 
     /// Tukey taper: the share of the pulse under its two cosine flanks.
     taper: Number(from(0.0, 1.0)), Default("0.0");

@@ -93,6 +93,8 @@ struct Leak {
     /// Pulse length of the waveform, seconds.
     made_s: Option<f64>,
     waveform: Waveform,
+    /// End of the waveform at the latest, seconds: that of the longest ping.
+    until_s: f64,
 }
 
 impl ElementInstrument {
@@ -130,7 +132,7 @@ impl ElementInstrument {
             [0, array.elements - 1].map(|element| array.element_body_m(element).length())
         });
         Ok(Some(Self {
-            leaks: leaks(spec, instrument.leakage, filter.as_ref()),
+            leaks: leaks(spec, instrument.leakage, filter.as_ref(), max_window_s),
             arrivals: Vec::with_capacity(max_arrivals),
             gains: element_gains(spec, &instrument.element_spread),
             tones: match instrument.tones.is_empty() {
@@ -357,10 +359,16 @@ fn is_coupled(instrument: &Instrument) -> bool {
 }
 
 /// The pulses that leak, with room for the longest.
-fn leaks(spec: &SonarSpec, leakage: Option<Leakage>, filter: Option<&Decimator>) -> Vec<Leak> {
+fn leaks(
+    spec: &SonarSpec,
+    leakage: Option<Leakage>,
+    filter: Option<&Decimator>,
+    max_window_s: f64,
+) -> Vec<Leak> {
     let Some(leakage) = leakage else {
         return Vec::new();
     };
+    let until_s = max_window_s + filter.map_or(0.0, Decimator::half_s);
     let own = (spec.pulse, 0.0, None);
     let more = spec.more_pulses.iter();
     let more = more.map(|more| (more.pulse, more.delay_s, more.transmit));
@@ -370,13 +378,14 @@ fn leaks(spec: &SonarSpec, leakage: Option<Leakage>, filter: Option<&Decimator>)
             duration_s: spec.limits.pulse_duration_s.1,
             ..pulse
         };
-        let longest = source(longest, leakage, spec.pulse.center_frequency_hz);
+        let longest = source(longest, leakage, spec.pulse.center_frequency_hz, until_s);
         let rate_hz = spec.receiver.sample_rate_hz;
         Leak {
             pulse,
             delay_s,
             transmit,
             made_s: None,
+            until_s,
             waveform: Waveform::with_room_for(&longest, filter, rate_hz),
         }
     };
@@ -384,7 +393,7 @@ fn leaks(spec: &SonarSpec, leakage: Option<Leakage>, filter: Option<&Decimator>)
 }
 
 /// Waveform of a pulse that leaks.
-fn source(pulse: Pulse, leakage: Leakage, carrier_hz: f64) -> WaveformSource {
+fn source(pulse: Pulse, leakage: Leakage, carrier_hz: f64, until_s: f64) -> WaveformSource {
     WaveformSource {
         pulse,
         apart_hz: pulse.center_frequency_hz - carrier_hz,
@@ -392,6 +401,7 @@ fn source(pulse: Pulse, leakage: Leakage, carrier_hz: f64) -> WaveformSource {
             decay_s: resonance.decay_s(),
             apart_hz: resonance.frequency_hz - carrier_hz,
         }),
+        until_s,
     }
 }
 
@@ -406,7 +416,7 @@ impl Leak {
             duration_s,
             ..self.pulse
         };
-        let source = source(pulse, leakage, plan.pulse.center_frequency_hz);
+        let source = source(pulse, leakage, plan.pulse.center_frequency_hz, self.until_s);
         self.waveform.set(&source, filter);
         self.made_s = Some(duration_s);
     }

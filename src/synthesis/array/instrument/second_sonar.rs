@@ -55,6 +55,7 @@ impl SecondSonarWaves {
             },
             apart_hz: frequency_hz - carrier_hz,
             ringing: None,
+            until_s: f64::INFINITY,
         };
         let mut waveform = Waveform::with_room_for(&source, filter, rate_hz);
         waveform.set(&source, filter);

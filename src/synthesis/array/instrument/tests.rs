@@ -307,6 +307,28 @@ fn samples_pass_the_response_and_every_block_gives_the_same() {
     }
 }
 
+/// A resonance that rings for a minute has a table as long as a ping.
+#[test]
+fn a_ring_down_ends_with_the_longest_ping() {
+    let mut spec = sonar(leaking(None));
+    spec.instrument = Some(Instrument {
+        leakage: Some(Leakage {
+            level_db: 0.0,
+            ring_down: Some(Resonance {
+                q: 1000.0,
+                frequency_hz: 100.0,
+            }),
+        }),
+        ..Instrument::default()
+    });
+    let plan = plan(&spec, 1);
+    let mut instrument = made(&spec);
+    let got = silence(&mut instrument, &plan, 0, 0);
+    let (_, last_s) = instrument.leaks[0].waveform.span_s();
+    assert!((last_s - 0.1).abs() < 0.02, "{last_s} s");
+    assert!(got.iter().all(|v| v.re.is_finite() && v.im.is_finite()));
+}
+
 /// Two-sided probability of a Kolmogorov-Smirnov distance (Stephens 1970).
 fn kolmogorov(mut values: Vec<f64>, distribution: impl Fn(f64) -> f64) -> f64 {
     values.sort_by(f64::total_cmp);

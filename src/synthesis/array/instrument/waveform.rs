@@ -37,6 +37,8 @@ pub(super) struct WaveformSource {
     /// Carrier of the pulse, hertz from that of the sonar.
     pub(super) apart_hz: f64,
     pub(super) ringing: Option<Ringing>,
+    /// End of the waveform at the latest, seconds.
+    pub(super) until_s: f64,
 }
 
 impl WaveformSource {
@@ -51,6 +53,10 @@ impl WaveformSource {
 
     /// Duration with the ring-down, seconds.
     fn duration_s(&self) -> f64 {
+        self.whole_s().min(self.until_s)
+    }
+
+    fn whole_s(&self) -> f64 {
         self.pulse.duration_s + self.ringing.map_or(0.0, |ring| RING_DECAYS * ring.decay_s)
     }
 
