@@ -183,7 +183,7 @@ impl RangeFloorFinder {
             if scatterers.loud[i] <= 1.0 {
                 let number = self.counts[bin];
                 self.counts[bin] += 1;
-                if number % self.strides[bin] != 0 {
+                if !number.is_multiple_of(self.strides[bin]) {
                     continue;
                 }
                 weight = self.strides[bin] as f64;

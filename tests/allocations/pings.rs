@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use echotank_config::spec::{Density, MultipathSpec, SurfaceSpec};
+use echotank_config::spec::{
+    Density, MultipathSpec, RigSpec, SurfaceSpec, VolumeLayer, VolumeSpec,
+};
 use echotank_core::instrument::{
     Crosstalk, ElementSpread, Instrument, Leakage, Resonance, SecondSonar, Tone, ToneEntry,
     TransducerResponse,
@@ -17,9 +19,7 @@ use echotank_testing::pings::LoggedPings;
 /// Number of allocations in each of the last `watched` pings of `count`.
 fn allocations_per_ping(
     file: &str,
-    profile: Option<Vec<(f64, f64)>>,
-    reflects: bool,
-    has_instrument: bool,
+    change: impl FnOnce(&mut RigSpec),
     threads: usize,
     count: usize,
     watched: usize,
@@ -28,27 +28,7 @@ fn allocations_per_ping(
         .join("hil-configs")
         .join(file);
     let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
-    if let Some(points) = profile {
-        let profile = SoundSpeedProfile::new(points).expect("a good profile");
-        spec.medium.sound_speed_m_per_s = profile.range_m_per_s().0;
-        spec.medium.profile = Some(Arc::new(profile));
-    }
-    if reflects {
-        spec.medium.surface = Some(SurfaceSpec {
-            wind_m_per_s: 5.0,
-            roughness_m: None,
-            slope_rad: None,
-            down_m: 0.0,
-            scattering: None,
-        });
-        spec.medium.multipath = Some(MultipathSpec {
-            surface_bottom: true,
-            bottom_density_ratio: None,
-            bottom_speed_ratio: None,
-            bottom_roughness_m: None,
-            bottom_slope_rad: 0.1,
-        });
-    }
+    change(&mut spec);
     // A moving ship needs new tiles. A static scene shows the allocations of the ping only.
     spec.scene
         .seabed
@@ -59,7 +39,6 @@ fn allocations_per_ping(
         sonar.synthesis.auto = Default::default();
         sonar.model.synthesis = Synthesis::Direct;
         sonar.model.cull_db = Some(-24.0);
-        sonar.instrument = has_instrument.then(|| instrument(sonar.pulse));
     }
     let pool = pool(threads).expect("threads");
     pool.install(|| {
@@ -118,22 +97,65 @@ fn instrument(pulse: Pulse) -> Instrument {
     }
 }
 
+fn bends(spec: &mut RigSpec) {
+    let points = vec![(0.0, 1500.0), (20.0, 1480.0), (60.0, 1485.0)];
+    let profile = SoundSpeedProfile::new(points).expect("a good profile");
+    spec.medium.sound_speed_m_per_s = profile.range_m_per_s().0;
+    spec.medium.profile = Some(Arc::new(profile));
+}
+
+fn reflects(spec: &mut RigSpec) {
+    spec.medium.surface = Some(SurfaceSpec {
+        wind_m_per_s: 5.0,
+        roughness_m: None,
+        slope_rad: None,
+        down_m: 0.0,
+        scattering: None,
+    });
+    spec.medium.multipath = Some(MultipathSpec {
+        surface_bottom: true,
+        bottom_density_ratio: None,
+        bottom_speed_ratio: None,
+        bottom_roughness_m: None,
+        bottom_slope_rad: 0.1,
+    });
+}
+
+fn scatters(spec: &mut RigSpec) {
+    spec.medium.volume = Some(VolumeSpec {
+        layers: vec![VolumeLayer {
+            top_m: 5.0,
+            bottom_m: 6.0,
+            sv_db: -60.0,
+        }],
+        scatterers_per_cell: 1.0,
+        nearest_m: 1.0,
+    });
+}
+
 #[test]
 fn a_ping_allocates_nothing_after_warm_up() {
     let _alone = allocations::alone();
+    type Change = fn(&mut RigSpec);
+    let changes: [(&str, Change); 5] = [
+        ("points", |_| {}),
+        ("points in a profile", bends),
+        ("points and images", reflects),
+        ("points in water that scatters", scatters),
+        ("imperfect points", |spec| {
+            for sonar in &mut spec.sonars {
+                sonar.instrument = Some(instrument(sonar.pulse));
+            }
+        }),
+    ];
     for threads in [1, 2] {
-        let points = allocations_per_ping("points.toml", None, false, threads, 8, 4);
-        assert_eq!(points, [0; 4], "points, {threads} threads");
-        let cast = vec![(0.0, 1500.0), (20.0, 1480.0), (60.0, 1485.0)];
-        let bent = allocations_per_ping("points.toml", Some(cast), false, threads, 8, 4);
-        assert_eq!(bent, [0; 4], "points in a profile, {threads} threads");
-        let reflected = allocations_per_ping("points.toml", None, true, threads, 8, 4);
-        assert_eq!(reflected, [0; 4], "points and images, {threads} threads");
-        let imperfect = allocations_per_ping("points.toml", None, true, threads, 8, 4);
-        assert_eq!(imperfect, [0; 4], "imperfect points, {threads} threads");
+        for (what, change) in changes {
+            let points = allocations_per_ping("points.toml", change, threads, 8, 4);
+            assert_eq!(points, [0; 4], "{what}, {threads} threads");
+        }
         // Over a seabed, new tiles appear as the ship moves, and a ping may have more scatterers than all before. Both rarely grow
         // a buffer, and nothing else allocates.
-        let seabed = allocations_per_ping("quickstart.toml", None, false, threads, 36, 20);
+        let seabed = allocations_per_ping("quickstart.toml", |_| {}, threads, 36, 20);
         let quiet = seabed.iter().filter(|&&n| n == 0).count();
         assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");
     }
