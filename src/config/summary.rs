@@ -331,7 +331,7 @@ fn receiver(sonar: &SonarSpec, c: f64) -> String {
         ReceiverFilter::Fir => "low-pass filter",
     };
     let noise = match receiver.noise_db {
-        Some(db) => format!("noise {db} dB re 1 uPa^2/Hz"),
+        Some(db) => format!("noise {db:.1} dB re 1 uPa^2/Hz"),
         None => "no noise".to_owned(),
     };
     let converter = match receiver.adc_bits {
@@ -484,6 +484,7 @@ fn model(sonar: &SonarSpec) -> String {
         other => format!("Doppler {}", other.name()),
     };
     let cull = match model.cull_db {
+        Some(_) if sonar.synthesis.culls_by_window => "culled by window".to_owned(),
         Some(db) => format!("scatterers below {db} dB left out"),
         None => "no scatterer left out".to_owned(),
     };

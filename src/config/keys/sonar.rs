@@ -236,8 +236,8 @@ table! {
     segment_ms: Ms(from(0.1, 60_000.0)), Optional("50.0");
 
     /// Scatterers whose two-way pattern is below this level are left out. For targets and points the level is lower by their excess strength over the
-    /// seabed. Default: with a gridded synthesis, a seabed and no scene.points, the highest level whose error on flat ground is half the tolerance;
-    /// otherwise all scatterers are kept.
+    /// seabed. Default: with a gridded synthesis, a seabed and no scene.points, every ping has its own levels by range, with which culling leaves out at
+    /// most two fifths of the tolerance in every window of a pulse length; otherwise all scatterers are kept.
     cull_db: Number(from(-300.0, -1.0)), Optional("-60.0");
 }
 
