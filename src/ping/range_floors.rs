@@ -29,7 +29,7 @@ use crate::method_selection::fades;
 pub(crate) const LEFT_OUT: f64 = 0.4;
 /// Energies are estimated from a sample, and from the middle element.
 const MARGIN: f64 = 2.0;
-/// Scatterers are gathered from directions so far below the configured floor or its default, dB.
+/// Scatterers are gathered from directions so far below the default floor, dB.
 pub(crate) const GATHERED_BELOW_DB: f64 = 20.0;
 /// Number of bins; longer pings have longer ones.
 const BINS: usize = 256;
@@ -59,6 +59,8 @@ pub struct RangeFloorFinder {
     /// Scatterers of the ground by bin, and how many of them one that is looked at stands for.
     counts: [usize; BINS],
     strides: [usize; BINS],
+    /// By bin: energies of the scatterers that are looked at, each over the square of its level, and how many there are.
+    unweighted: [(f64, f64); BINS],
 }
 
 impl Default for RangeFloorFinder {
@@ -70,6 +72,7 @@ impl Default for RangeFloorFinder {
                 .unwrap_or_else(|_| Box::new([[0.0; LEVELS]; BINS])),
             counts: [0; BINS],
             strides: [1; BINS],
+            unweighted: [(0.0, 0.0); BINS],
         }
     }
 }
@@ -172,6 +175,7 @@ impl RangeFloorFinder {
         }
         self.counts.fill(0);
         self.energies.fill([0.0; LEVELS]);
+        self.unweighted.fill((0.0, 0.0));
         let curve = scatterers.curve.as_deref();
         for i in 0..scatterers.len() {
             let bin = bin_of(i);
@@ -215,11 +219,14 @@ impl RangeFloorFinder {
                 }),
             };
             let loss = one_way.amplitude(out_range_m) * one_way.amplitude(back_range_m);
-            let energy = weight * (level * law * loss).powi(2) * scatterers.strength[i].norm_sqr();
+            let energy = (level * law * loss).powi(2) * scatterers.strength[i].norm_sqr();
             if energy > 0.0 {
                 let tested = level.abs() * f64::from(scatterers.loud[i]);
                 let step = (-20.0 / STEP_DB * libm::log10(tested)).max(0.0) as usize;
-                self.energies[bin][step.min(LEVELS - 1)] += energy;
+                self.energies[bin][step.min(LEVELS - 1)] += weight * energy;
+                let (sum, number) = &mut self.unweighted[bin];
+                *sum += energy / (tested * tested);
+                *number += 1.0;
             }
         }
     }
@@ -228,14 +235,20 @@ impl RangeFloorFinder {
     fn lower(&self, share: f64, floors: &mut [f32]) {
         let windows = Windows::of(&self.energies, 0);
         let noise = windows.noise();
+        let per_step = libm::exp10(0.1 * STEP_DB);
+        let lowest = per_step.powi(1 - LEVELS as i32);
         for (k, energies) in self.energies.iter().enumerate() {
             if windows.sums[k] == 0.0 {
                 continue;
             }
             let mut left = 0.25 * share * windows.weakest_with(k).max(noise);
+            // Each level may have as many scatterers as one that is looked at stands for, and none of them is.
+            let (sum, number) = self.unweighted[k];
+            let mut unseen = (self.strides[k] - 1) as f64 * sum / number * lowest;
             let mut first_culled = LEVELS;
-            while first_culled > 0 && energies[first_culled - 1] <= left {
-                left -= energies[first_culled - 1];
+            while first_culled > 0 && energies[first_culled - 1] + unseen <= left {
+                left -= energies[first_culled - 1] + unseen;
+                unseen *= per_step;
                 first_culled -= 1;
             }
             let level = libm::exp10(-STEP_DB / 20.0 * first_culled as f64) as f32;

@@ -8,9 +8,9 @@ use echotank_core::arrays::Mounting;
 use echotank_core::frames::{Pose, Trajectory};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{Footprint, Scatterers};
-use echotank_ping::PingOrder;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::threads::pool;
+use echotank_ping::{PingOrder, RangeFloorFinder};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::{MeshFolder, Targets};
@@ -159,6 +159,53 @@ fn energies(spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> (Vec<f6
     insonify(plan, tx, window, scatterers, &mut lit);
     let counts = arrivals(plan, rx, 0, &lit, &mut work, &mut all);
     (all.sums, counts.used)
+}
+
+/// Ground that rises ahead returns echoes of side lobes before the main lobe meets it. Floors by range keep two fifths of the tolerance in these
+/// weak windows too, down to 55 dB below the strongest; the floor of all ranges does not.
+#[test]
+fn culling_keeps_its_part_of_the_tolerance_in_weak_windows() {
+    let folder = echotank_testing::repository().join("hil-configs");
+    let mut spec = echotank_runtime::config_files::load(&folder.join("seabed.toml"))
+        .expect("a good configuration");
+    spec.scene.targets = None;
+    spec.scene.seabed.as_mut().expect("a seabed").shape = SeabedShape::Plane {
+        depth_m: 51.0,
+        slope_north: -0.7,
+        slope_east: 0.0,
+    };
+    let sonar = spec.sonars[0].clone();
+    let tolerance = sonar.synthesis.tolerance;
+    let at_rest = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, DQuat::IDENTITY);
+    let mut plan = plan_on(at_rest, &spec, 1, sonar.settings);
+    let mut pipeline = SonarPipeline::new(&sonar, &spec.medium).expect("a pipeline");
+    let mut scene = Scene::open(&FileSystem, &spec.scene).expect("a scene");
+    let mut scatterers = Scatterers::default();
+    scene.gather(pipeline.footprints(&plan), &mut scatterers);
+
+    let (by_one_floor, _) = energies(&spec, &plan, &scatterers);
+    RangeFloorFinder::default().find(&sonar, &mut plan, &scatterers);
+    let (by_range, kept) = energies(&spec, &plan, &scatterers);
+    plan.model.cull_db = None;
+    let (all, gathered) = energies(&spec, &plan, &scatterers);
+    // A window of a pulse length has the beginnings of echoes and the ends of those before.
+    let both = |of: &[f64]| -> Vec<f64> { of.windows(2).map(|pair| pair[0] + pair[1]).collect() };
+    let all = both(&all);
+    let strongest = all.iter().copied().fold(0.0, f64::max);
+    let worst = |of: &[f64]| {
+        let errors = all.iter().zip(both(of)).map(|(all, of)| {
+            let against = all.max(strongest * 10f64.powf(-5.5));
+            ((all - of).max(0.0) / against).sqrt()
+        });
+        errors.fold(0.0, f64::max)
+    };
+    let (one, own) = (worst(&by_one_floor), worst(&by_range));
+    println!(
+        "tolerance {tolerance:e}: {one:.1e} with one floor, {own:.1e} with floors by range; {kept} of {gathered} kept"
+    );
+    assert!(kept < gathered, "nothing is culled");
+    assert!(one > tolerance, "{one}");
+    assert!(own <= 0.4 * tolerance, "{own}");
 }
 
 /// A target of +20 dB in a side lobe too weak for the bottom, and one of -60 dB slightly closer in the same lobe.
