@@ -37,7 +37,7 @@ const BINS: usize = 256;
 const STEP_DB: f64 = 3.0;
 const LEVELS: usize = 50;
 /// Scatterers that are looked at: one for so many pairs of scatterer and element, within limits, and at least so many in each bin. Weak windows have few
-/// scatterers, which are strong because the seabed is thinned there; all of them are looked at.
+/// scatterers, which are strong because the seabed is thinned there.
 const PAIRS_PER_SAMPLE: usize = 256;
 const SAMPLES: (usize, usize) = (2048, 8192);
 const SAMPLES_PER_BIN: usize = 16;

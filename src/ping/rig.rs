@@ -70,7 +70,7 @@ pub struct SonarUnit {
     pub pipeline: SonarPipeline,
     /// Simplification of the scene, which omits scatterers that the ping does not need.
     pub(crate) simplify: Option<(Stage, View)>,
-    /// Lowers the pattern floor where little is received.
+    /// Finds the pattern floors of each ping.
     pub(crate) range_floors: RangeFloorFinder,
     /// One-way absorption at the centre frequency, dB/m.
     pub absorption_db_per_m: f64,
