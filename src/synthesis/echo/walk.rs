@@ -695,9 +695,27 @@ fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
     let normal_x = &transmit_leg.normal_x[span.clone()][..n];
     let normal_y = &transmit_leg.normal_y[span.clone()][..n];
     let normal_z = &transmit_leg.normal_z[span.clone()][..n];
-    let curved = &transmit_leg.curved[span.clone()][..n];
-    let curve = transmit_leg.curve.as_deref();
-    let closing_m_per_s = &transmit_leg.closing_m_per_s[span][..n];
+    let closing_m_per_s = &transmit_leg.closing_m_per_s[span.clone()][..n];
+    // The half of the law apart: loops that look up the curve are not vectorised.
+    let mut law = [0.0; CHUNK];
+    for i in 0..n {
+        let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
+        let range_m = (x * x + y * y + z * z).sqrt();
+        let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        let normal_along_ray =
+            (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
+                * per_m;
+        law[i] = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
+    }
+    if CURVED {
+        let curve = transmit_leg.curve.as_deref();
+        let curved = &transmit_leg.curved[span][..n];
+        for (law, curved) in law.iter_mut().zip(curved) {
+            if *curved {
+                *law = one_leg_of_curve(curve, *law);
+            }
+        }
+    }
     for i in 0..n {
         let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
         let range_m = (x * x + y * y + z * z).sqrt();
@@ -711,16 +729,9 @@ fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
                 rays.array_z_m[i] * per_m,
             )
         };
-        let normal_along_ray =
-            (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
-                * per_m;
-        let mut law = (f64::from(bias[i]) - normal_along_ray).max(0.0).sqrt();
-        if CURVED && curved[i] {
-            law = one_leg_of_curve(curve, law);
-        }
         received.range_m[i] = range_m;
         received.gain[i] =
-            receive.sensitivity * response * law * receive.one_way.amplitude_at(range_m, per_m);
+            receive.sensitivity * response * law[i] * receive.one_way.amplitude_at(range_m, per_m);
         received.level[i] = level[i] * response.abs();
         // eta - 1 of eta = (c + v_R.e_R)/(c - v_T.e_T), rearranged to avoid cancellation.
         received.doppler[i] = (rays.closing_m2_per_s[i] * per_m + closing_m_per_s[i])
