@@ -10,7 +10,7 @@ use echotank_synthesis::array::gridded::moments::Real;
 use echotank_synthesis::array::gridded::transform::Transform1d;
 use num_complex::{Complex, Complex64};
 
-use super::scene::{BINS, CARRIER_HZ, DURATION_S, PERIOD_S, Scene, Shape};
+use super::scene::{BANDWIDTH_HZ, BINS, CARRIER_HZ, DURATION_S, Geometry, PERIOD_S, Scene, Shape};
 
 /// Delays, carrier-rotated amplitudes and the direct sum over the band, in f64.
 struct Points {
@@ -22,6 +22,8 @@ impl Points {
     /// Arrivals at one element of a line over the scene, in random order.
     fn new(scatterers: usize, elements: usize, element: usize) -> Self {
         let scene = Scene::new(Shape {
+            geometry: Geometry::SideScan,
+            bandwidth_hz: BANDWIDTH_HZ,
             scatterers,
             speed_m_per_s: 5.0,
             sector_deg: 15.0,

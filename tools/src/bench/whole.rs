@@ -33,14 +33,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-use super::scene::{DURATION_S, ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
+use super::scene::{BANDWIDTH_HZ, DURATION_S, Geometry, SOUND_SPEED_M_PER_S, Scene, Shape};
 use super::stages::Profile;
 use super::transform::simd_level_named;
 use crate::reference::{Probe, values};
 use crate::report::{Common, Report};
 
-/// Sample rate for a band of 30 kHz and the Doppler of 10 m/s over +-60 degrees.
-const RATE_HZ: f64 = 52e3;
+/// Samples a second beyond the band: the Doppler of 10 m/s over +-60 degrees, and the filter.
+const SPARE_HZ: f64 = 22e3;
 const ENGINE_DENSITY: f64 = 26.0;
 /// Number of windows with samples computed again.
 const WINDOWS: usize = 8;
@@ -89,10 +89,13 @@ pub(crate) struct Ping {
     pub(crate) velocity_m_per_s: DVec3,
     pub(crate) tolerance: f64,
     pub(crate) pulse_s: f64,
+    pub(crate) geometry: Geometry,
+    pub(crate) bandwidth_hz: f64,
 }
 
-/// Pulse of a multibeam, seconds.
+/// Pulses of multibeams, seconds.
 const SHORT_S: f64 = 0.3e-3;
+const FAN_S: f64 = 0.5e-3;
 const STILL: DVec3 = DVec3::ZERO;
 const AHEAD: DVec3 = DVec3::new(5.0, 0.0, 0.0);
 /// Surge, sway and heave, metres per second.
@@ -118,6 +121,10 @@ impl Ping {
             self.tolerance
         )
     }
+
+    fn rate_hz(&self) -> f64 {
+        self.bandwidth_hz + SPARE_HZ
+    }
 }
 
 const fn ping(
@@ -136,6 +143,8 @@ const fn ping(
         velocity_m_per_s,
         tolerance,
         pulse_s: DURATION_S,
+        geometry: Geometry::SideScan,
+        bandwidth_hz: BANDWIDTH_HZ,
     }
 }
 
@@ -147,8 +156,21 @@ const fn short(scatterers: usize, tolerance: f64) -> Ping {
     }
 }
 
+/// A multibeam at 45 m of range.
+const fn fan(scatterers: usize, bandwidth_hz: f64, tolerance: f64) -> Ping {
+    Ping {
+        pulse_s: FAN_S,
+        geometry: Geometry::Fan,
+        bandwidth_hz,
+        ..ping("fan", 256, scatterers, 75.0, SEAWAY, tolerance)
+    }
+}
+
+/// Bandwidth of a wide-band multibeam, Hz.
+const WIDE_HZ: f64 = 80e3;
+
 /// All numbers of elements and scatterers while moving, then the effect of sector, speed and tolerance, then the real-time target.
-pub(crate) const PINGS: [Ping; 36] = [
+pub(crate) const PINGS: [Ping; 45] = [
     ping("paper", 5, 42_936, 15.0, STILL, 1e-3),
     ping("paper", 5, 42_936, 15.0, SEAWAY, 1e-3),
     ping("paper", 5, 42_936, 15.0, FAST, 1e-3),
@@ -185,11 +207,21 @@ pub(crate) const PINGS: [Ping; 36] = [
     short(43_000, 1e-2),
     short(300_000, 1e-2),
     short(1_000_000, 1e-2),
+    fan(20_000, BANDWIDTH_HZ, 1e-2),
+    fan(43_000, BANDWIDTH_HZ, 1e-2),
+    fan(20_000, BANDWIDTH_HZ, 1e-3),
+    fan(43_000, BANDWIDTH_HZ, 1e-3),
+    fan(100_000, BANDWIDTH_HZ, 1e-3),
+    fan(300_000, BANDWIDTH_HZ, 1e-3),
+    fan(43_000, WIDE_HZ, 1e-2),
+    fan(125_000, WIDE_HZ, 1e-2),
+    ping("long", 256, 43_000, 15.0, SEAWAY, 1e-3),
 ];
 
 /// Everything prepared before the first ping.
 struct Ready {
     ping: Ping,
+    rate_hz: f64,
     effort: Effort,
     scene: Scene,
     array: ArrayGeometry,
@@ -225,6 +257,8 @@ type Outcome = Result<(RunTimes, String), String>;
 impl Ready {
     fn new(ping: Ping, effort: Effort) -> Self {
         let mut scene = Scene::new(Shape {
+            geometry: ping.geometry,
+            bandwidth_hz: ping.bandwidth_hz,
             scatterers: ping.scatterers,
             speed_m_per_s: ping.velocity_m_per_s.x,
             sector_deg: ping.sector_deg,
@@ -232,8 +266,9 @@ impl Ready {
             taper: 0.1,
         });
         by_tiles(&mut scene.scatterers);
+        let rate_hz = ping.rate_hz();
         let plan = &mut scene.plan;
-        plan.sample_count = (WINDOW_S * RATE_HZ) as usize;
+        plan.sample_count = (ping.geometry.window_s() * rate_hz) as usize;
         plan.trajectory = echotank_core::frames::Trajectory::uniform(
             DVec3::ZERO,
             ping.velocity_m_per_s,
@@ -247,11 +282,12 @@ impl Ready {
         };
         let greatest = 2.0 * ping.velocity_m_per_s.length() / SOUND_SPEED_M_PER_S;
         let doppler_hz = greatest * plan.pulse.center_frequency_hz;
-        let oversample = (ENGINE_DENSITY * plan.pulse.bandwidth_hz / RATE_HZ).ceil() as usize;
-        let filter = Decimator::new(&plan.pulse, RATE_HZ, doppler_hz, oversample.max(20))
-            .expect("52 kHz hold 30 kHz and the Doppler of 10 m/s");
+        let oversample = (ENGINE_DENSITY * plan.pulse.bandwidth_hz / rate_hz).ceil() as usize;
+        let filter = Decimator::new(&plan.pulse, rate_hz, doppler_hz, oversample.max(20))
+            .expect("the rate holds the band and the Doppler of 10 m/s");
         Self {
             ping,
+            rate_hz,
             effort,
             array: scene.array(ping.elements),
             iq: vec![Complex64::ZERO; ping.elements * scene.plan.sample_count],
@@ -262,7 +298,7 @@ impl Ready {
     }
 
     fn light(&self, plan: &PingPlan, transmit_leg: &mut TransmitLeg) {
-        let window = Window::of_samples(0.0, RATE_HZ, plan.sample_count);
+        let window = Window::of_samples(0.0, self.rate_hz, plan.sample_count);
         let Scene {
             transmit,
             scatterers,
@@ -285,9 +321,14 @@ impl Ready {
             plan,
             transmit,
             scatterers,
+            ..
         } = &self.scene;
-        let length = (plan.pulse.duration_s * RATE_HZ).ceil() as usize;
-        let [first, last] = ECHOES_S.map(|s| (s * RATE_HZ) as usize);
+        let length = (plan.pulse.duration_s * self.rate_hz).ceil() as usize;
+        let [first, last] = self
+            .ping
+            .geometry
+            .echoes_s()
+            .map(|s| (s * self.rate_hz) as usize);
         let mut draws = ChaCha8Rng::seed_from_u64(11);
         let mut below = |n: usize| (draws.next_u64() % n as u64) as usize;
         let many = scatterers.len() > MANY;
@@ -317,7 +358,7 @@ impl Ready {
             .iter()
             .flat_map(|l| l.samples.iter().map(move |s| of(l, s.0)))
             .collect();
-        let values = values(plan, scatterers, Some(&self.filter), RATE_HZ, &probes);
+        let values = values(plan, scatterers, Some(&self.filter), self.rate_hz, &probes);
         let all = looked.iter_mut().flat_map(|l| &mut l.samples);
         all.zip(values).for_each(|(sample, value)| sample.1 = value);
         looked
@@ -406,10 +447,10 @@ fn patient(ready: &Ready, per_pair_s: f64) -> Result<(), String> {
 fn direct(ready: &mut Ready) -> Outcome {
     patient(ready, DIRECT_S)?;
     let plan = ready.plan(|_| true);
-    let own = echotank_synthesis::array::oversample(&plan.pulse, RATE_HZ, Synthesis::Direct);
+    let own = echotank_synthesis::array::oversample(&plan.pulse, ready.rate_hz, Synthesis::Direct);
     let greatest = 2.0 * ready.ping.velocity_m_per_s.length() / SOUND_SPEED_M_PER_S;
     let doppler_hz = greatest * plan.pulse.center_frequency_hz;
-    let filter = Decimator::new(&plan.pulse, RATE_HZ, doppler_hz, own).expect("as above");
+    let filter = Decimator::new(&plan.pulse, ready.rate_hz, doppler_hz, own).expect("as above");
     let took = timed_elements(ready, &plan, |this, transmit_leg, element, out| {
         let mut dense = vec![Complex64::ZERO; filter.dense_len(plan.sample_count)];
         let first_s = filter.dense_first_s(0.0);
@@ -458,8 +499,8 @@ fn spectral(ready: &mut Ready) -> Outcome {
         ));
     }
     let tails_s = -2.0 * ready.filter.dense_first_s(0.0);
-    let record_s = WINDOW_S + plan.pulse.duration_s + tails_s;
-    let mut spectrum = Spectrum::new(RATE_HZ, record_s, None, Some(&ready.filter));
+    let record_s = ready.ping.geometry.window_s() + plan.pulse.duration_s + tails_s;
+    let mut spectrum = Spectrum::new(ready.rate_hz, record_s, None, Some(&ready.filter));
     spectrum.prepare(&plan);
     let took = timed_elements(ready, &plan, |this, transmit_leg, element, out| {
         let mut bins = Bins::default();
@@ -485,7 +526,7 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
         / (SOUND_SPEED_M_PER_S - ready.ping.velocity_m_per_s.length());
     let spec = one_dimensional::Spec {
         pulse: &plan.pulse,
-        sample_rate_hz: RATE_HZ,
+        sample_rate_hz: ready.rate_hz,
         samples: plan.sample_count,
         filter: Some(&ready.filter),
         doppler: plan.model.doppler,
@@ -493,9 +534,9 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
             least: -fastest,
             greatest: fastest,
         },
-        // The curvature is that at 18 m, half the minimum slant range, for a margin.
+        // The curvature is that at half the minimum slant range, for a margin.
         curvature_per_s: ready.ping.velocity_m_per_s.length_squared()
-            / (18.0 * SOUND_SPEED_M_PER_S),
+            / (0.5 * ready.ping.geometry.nearest_m() * SOUND_SPEED_M_PER_S),
         tolerance: ready.ping.tolerance,
         level_range_db: 60.0,
         arrivals: ready.ping.scatterers,
@@ -551,11 +592,11 @@ fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome
         array: &ready.array,
         pulse: &plan.pulse,
         sound_speed_m_per_s: SOUND_SPEED_M_PER_S,
-        sample_rate_hz: RATE_HZ,
+        sample_rate_hz: ready.rate_hz,
         filter: Some(&ready.filter),
         model: &plan.model,
         bounds: Bounds {
-            nearest_m: 35.0,
+            nearest_m: ready.ping.geometry.nearest_m(),
             greatest_slope: ready.ping.sector_deg.to_radians().sin(),
             along_m_per_s: velocity.x.abs(),
             across_m_per_s: velocity.with_x(0.0).length(),
@@ -611,10 +652,10 @@ fn gridded_lines(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
         array: &ready.array,
         pulse: &plan.pulse,
         sound_speed_m_per_s: SOUND_SPEED_M_PER_S,
-        sample_rate_hz: RATE_HZ,
+        sample_rate_hz: ready.rate_hz,
         filter: Some(&ready.filter),
         doppler: plan.model.doppler,
-        nearest_m: 35.0,
+        nearest_m: ready.ping.geometry.nearest_m(),
         fastest_m_per_s: ready.ping.velocity_m_per_s.length().max(1.0),
         tolerance: ready.ping.tolerance,
         samples: plan.sample_count,
@@ -667,8 +708,7 @@ pub(crate) struct Selection {
 pub(crate) fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
     let effort = if selection.common.quick { QUICK } else { FULL };
     println!(
-        "whole pings: 400 kHz, 30 kHz, 5 ms (\"short\": 0.3 ms), 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
-        RATE_HZ * 1e-3
+        "whole pings: 400 kHz, 30 kHz, 5 ms (\"short\": 0.3 ms), 36..150 m, 52 kHz samples; \"fan\": 0.5 ms, 11..45 m, 30 or 80 kHz; transmit leg, sonar equation, Doppler, templates, filter, samples"
     );
     println!(
         "{:<6} {:>4} {:>8} {:>4} {:>14} {:<11} {:<8} {:>3} {:>6} {:>8} {:>8} {:>9} {:>9} {:>8}",
@@ -758,7 +798,7 @@ fn one(
             );
             let mut kept = serde_json::json!({
                 "ping": ping.name, "elements": ping.elements, "scatterers": ping.scatterers, "sector_deg": ping.sector_deg,
-                "velocity_m_per_s": [v.x, v.y, v.z], "pulse_s": ping.pulse_s, "method": method, "simd_level": name, "threads": threads,
+                "velocity_m_per_s": [v.x, v.y, v.z], "pulse_s": ping.pulse_s, "bandwidth_khz": 1e-3 * ping.bandwidth_hz, "method": method, "simd_level": name, "threads": threads,
                 "tolerance": ping.tolerance,
             });
             let line = match outcome {
