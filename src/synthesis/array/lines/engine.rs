@@ -21,6 +21,7 @@ use echotank_core::model::DopplerModel;
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::{SimdLevel, widest};
 
+use super::aligned::Aligned;
 use super::design::{BEYOND_SHARE, Design, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
@@ -81,7 +82,7 @@ struct State {
     slabs: Vec<SlabPlan>,
     /// Energy by part of a slab and column; the parts are as long as a part of the pulse.
     energy: Vec<f32>,
-    outputs: Vec<Vec<f32>>,
+    outputs: Vec<Aligned>,
     geometry: Vec<Mutex<(NodeWorkspace, Box<NodeBatch>)>>,
     work: Vec<Mutex<Work>>,
 }
@@ -90,8 +91,8 @@ struct State {
 #[derive(Default)]
 struct Work {
     located: Box<Located>,
-    grid: Vec<f32>,
-    scratch: Vec<f32>,
+    grid: Aligned,
+    scratch: Aligned,
 }
 
 /// Stored geometry of [`CHUNK`] scatterers.
@@ -204,7 +205,8 @@ impl GriddedLines {
                 .unwrap_or_else(PoisonError::into_inner)
                 .scratch;
             if scratch.len() < fft_scratch {
-                scratch.resize(fft_scratch, 0.0);
+                scratch.clear();
+                scratch.resize_zeros(fft_scratch);
             }
         }
     }
@@ -565,7 +567,7 @@ impl GriddedLines {
         let tasks = blocks * self.state.slabs.len();
         let mut outputs = std::mem::take(&mut self.state.outputs);
         if outputs.len() < tasks {
-            outputs.resize_with(tasks, Vec::new);
+            outputs.resize_with(tasks, Aligned::default);
         }
         let this = &*self;
         outputs[..tasks]
@@ -575,7 +577,7 @@ impl GriddedLines {
             .for_each(|(task, output)| {
                 let slab = &this.state.slabs[task / blocks];
                 output.clear();
-                output.reserve_exact(this.design.slab_samples * CELL);
+                output.reserve(this.design.slab_samples * CELL);
                 if slab.chunks.is_empty() {
                     return;
                 }
@@ -602,7 +604,7 @@ impl GriddedLines {
         slab: &SlabPlan,
         block: &BlockWeights,
         work: &mut Work,
-        output: &mut Vec<f32>,
+        output: &mut Aligned,
     ) {
         let Work {
             located,
@@ -616,15 +618,17 @@ impl GriddedLines {
         if grid.len() < used {
             // Room for all columns: a ping of the same size may use more of them.
             let most = (2 * template_reach(&self.design) + 1) * stride;
-            grid.reserve_exact(most.saturating_sub(grid.len()));
-            grid.resize(used, 0.0);
+            grid.reserve(most.max(used));
+            grid.resize_zeros(used);
         }
-        let grid = &mut grid[..used];
+        let grid = &mut grid.numbers_mut()[..used];
+        let scratch = scratch.numbers_mut();
         for chunk in &self.state.chunks[slab.chunks.clone()] {
             add(self.simd_level, &shape, block, chunk, located, grid);
         }
         output.clear();
-        output.resize(self.design.slab_samples * CELL, 0.0);
+        output.resize_zeros(self.design.slab_samples * CELL);
+        let output = output.numbers_mut();
         let first = (slab.first_column + template_reach(&self.design) as i32) as usize;
         let bins = self.bins.len();
         let templates = self.templates[first * bins..].chunks(TOGETHER * bins);
@@ -701,7 +705,7 @@ impl GriddedLines {
                 iq.fill(Complex64::ZERO);
                 let elements = iq.len() / count;
                 for (s, slab) in slabs.iter().enumerate() {
-                    let output = &outputs[s * blocks + block];
+                    let output = outputs[s * blocks + block].numbers();
                     if output.is_empty() {
                         continue;
                     }

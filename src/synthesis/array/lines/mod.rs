@@ -18,6 +18,7 @@
 //! - `design`: sizes from a tolerance, with predicted error and cost.
 //! - `windows`: the error in the worst window.
 //! - `spread`: the inner loop.
+//! - `aligned`: its buffers.
 //! - `engine`: one ping. Start there.
 //!
 //! Sources: Fessler and Sutton 2003 (nonuniform FFT, least-squares kernels); Meng et al. 2023 (the echo model).
@@ -26,6 +27,7 @@
 //!
 //! Not modelled: most of the energy beyond half the sample rate, which the receiver filter attenuates by 82 dB and more.
 
+mod aligned;
 mod design;
 mod dopplers;
 mod engine;
