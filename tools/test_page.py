@@ -348,6 +348,47 @@ DRIVEN = """() => {
 }"""
 
 
+class Profiles(Browser):
+    """A rig with a sound-speed profile."""
+
+    @classmethod
+    def configure(cls):
+        path, settings = rig(cls.folder.name, "\n[medium.profile]\npoints = [[0.0, 1500.0], [20.0, 1490.0]]\n")
+        with open(path, encoding="utf-8") as file:
+            lines = [line for line in file if not line.startswith("sound_speed_m_per_s")]
+        with open(path, "w", encoding="utf-8") as file:
+            file.writelines(lines)
+        return path, settings
+
+    def set(self, text):
+        self.page.fill("#profile-points", text)
+        self.page.click("#profile-set")
+
+    def test_a_profile_is_shown_set_refused_and_read_from_a_file(self):
+        page = self.page
+        page.click("#profile summary")
+        self.assertEqual(page.input_value("#profile-points"), "0 1500\n20 1490")
+        self.assertEqual(page.text_content("#profile-now"), "2 points, 1490 to 1500 m/s")
+        self.set("0 1510\n4; 1509\n9, 1478")
+        self.wait_text("#profile-note", "set")
+        self.wait_text("#profile-now", "3 points, 1478 to 1510 m/s")
+        self.wait_text("#log", "profile of 3 points accepted")
+        for text, why in (("5 1500", "2 to 1000 points"), ("0 1500\n9 1480\n4 1490", "depth"), ("0 1500\n9 150", "1300"), ("0 1500\n9 fast", "line 2: expected a depth")):
+            self.set(text)
+            self.wait_text("#profile-note", why)
+            self.assertEqual(page.get_attribute("#profile-note", "data-is"), "bad")
+        self.assertEqual(page.text_content("#profile-now"), "3 points, 1478 to 1510 m/s", "what was refused is not shown")
+        for name, content, points in (("cast.txt", "depth speed\n0,1499\n8,1481.5\n", 2), ("cast.asvp", "( SoundVelocity 1.0 0 202611261200 )\n0.0 1499.0\n3.0 1495.0\n8.0 1481.5\n", 3)):
+            page.set_input_files("#profile-file", {"name": name, "mimeType": "text/plain", "buffer": content.encode()})
+            self.wait_text("#profile-note", f"{name}: {points} points, not set yet")
+            page.click("#profile-set")
+            self.wait_text("#profile-now", f"{points} points, 1481.5 to 1499 m/s")
+        # A page that opens later shows the profile in force, and one without profile has no such control.
+        later = self.open()
+        self.addCleanup(later.close)
+        later.wait_for_function("() => document.getElementById('profile-points').value === '0 1499\\n3 1495\\n8 1481.5'")
+
+
 class Ranges(Browser):
     """The rig of the quickstart, some 52 m above the seabed, at 50 m, 100 m and 150 m, with recordings and bottom detection."""
 
@@ -470,7 +511,7 @@ class Ranges(Browser):
                     page.click(button)
                 page.click("#about button")
                 all_controls = page.evaluate("""() => [...document.querySelectorAll("button, input, select")]
-                    .filter((c) => !c.closest("#ask-token, #log, #faults")).map(window.nameOf)""")
+                    .filter((c) => !c.closest("#ask-token, #log, #faults, #profile[hidden]")).map(window.nameOf)""")
                 missed = set(all_controls) - set(page.evaluate("() => [...window.driven]"))
                 # With one sonar there is no other to choose.
                 self.assertEqual(missed, {"sonar"}, "controls that no event reached")

@@ -512,7 +512,13 @@ impl ControlPort for RunControl {
     }
 
     fn hello(&self) -> Value {
-        self.page.hello(self.opened.0)
+        let mut hello = self.page.hello(self.opened.0);
+        let set = lock(&self.profiles)
+            .back()
+            .map(|(_, profile)| profile.clone());
+        let configured = self.page.spec.medium.profile.as_deref();
+        hello["profile"] = json!(set.as_deref().or(configured).map(SoundSpeedProfile::points));
+        hello
     }
 
     fn world(&self) -> Value {

@@ -38,6 +38,7 @@ const ASSETS: &[(&str, &str, &str)] = &[
     asset!("/page/bathymetry.js", SCRIPT, "bathymetry.js"),
     asset!("/page/controls.js", SCRIPT, "controls.js"),
     asset!("/page/faults.js", SCRIPT, "faults.js"),
+    asset!("/page/profile.js", SCRIPT, "profile.js"),
     asset!("/page/save.js", SCRIPT, "save.js"),
     asset!("/page/verdict.js", SCRIPT, "verdict.js"),
 ];

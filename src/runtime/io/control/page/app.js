@@ -11,6 +11,7 @@ import { Health } from "./health.js";
 import { Bathymetry } from "./bathymetry.js";
 import { Controls } from "./controls.js";
 import { Faults } from "./faults.js";
+import { Profile } from "./profile.js";
 import { Verdict } from "./verdict.js";
 
 const link = new Link();
@@ -30,6 +31,7 @@ const motion = new Motion();
 const health = new Health();
 const bathymetry = new Bathymetry();
 const controls = new Controls(link);
+const profile = new Profile((command) => controls.ask(command));
 const faults = new Faults((command, note) => controls.ask(command, note));
 const verdict = new Verdict();
 
@@ -48,6 +50,7 @@ link.on("hello", (what) => {
   if (another) {
     track.clear();
     verdict.clear();
+    profile.rig(hello);
   }
   choose(another);
 });
@@ -249,7 +252,7 @@ function keeps(target, key) {
   if (target.closest("dialog, textarea, [type=password], [type=text]")) return true;
   if (target.matches("[type=number]")) return IN_NUMBERS.test(key);
   if (target.matches("select")) return !byPointer;
-  return target.matches("button, [type=checkbox]") && key === " " && !byPointer;
+  return target.matches("button, summary, [type=checkbox]") && key === " " && !byPointer;
 }
 
 document.addEventListener("keydown", (e) => {

@@ -166,6 +166,7 @@ const who = (c) => `${c.via}${c.peer ? ` ${c.peer}` : ""}`;
 function inWords(command) {
   const { do: what, ...rest } = command;
   if (what === "record") return `recording ${rest.on ? "on" : "off"}${rest.sonar ? ` for ${rest.sonar}` : ""}`;
+  if (what === "profile") return `profile of ${rest.points.length} points`;
   const more = Object.entries(rest).map(([key, value]) => `${key} ${typeof value === "number" ? short(value) : value}`);
   return [what, ...more].join(" ");
 }
