@@ -1,10 +1,12 @@
 //! Scatterers of the seabed for one ping: selects tiles, levels and visible scatterers.
 //!
 //! A region is left out as a whole where the bounds of its probabilities allow it: first tiles, then blocks of tiles, then the scatterers of a block from
-//! the first rank on that the ping cannot keep. The others are tested 16 at a time.
+//! the first rank on that the ping cannot keep. The others are tested some at a time, against the footprints that reach the block.
 //!
 //! Work is split by tile, and the scatterers follow the order of the tiles. The result does not depend on the number of threads. Buffers grow only if
 //! a ping needs more than any ping before it.
+
+use std::ops::Range;
 
 use glam::{DVec2, DVec3};
 use num_complex::Complex64;
@@ -54,8 +56,27 @@ pub(crate) struct GatherContext<'a> {
 struct WantedTile {
     id: TileId,
     tile_box: TileBox,
-    /// No scatterer of the tile has a higher probability.
+    reach: Reach,
+}
+
+/// Which footprints a box may have scatterers of.
+#[derive(Clone, Copy, Debug)]
+struct Reach {
+    /// No scatterer of the box has a higher probability; infinite where the density is constant.
     max_probability: f64,
+    /// Bit of each of the first 64 footprints that have the box partly in range and before their faces. The others may have it there.
+    footprints: u64,
+}
+
+impl Reach {
+    /// Of a box that any footprint may have there.
+    const ANY: u64 = u64::MAX;
+
+    /// Whether a footprint may have the box in range and before its faces.
+    #[inline(always)]
+    fn may_reach(footprints: u64, index: usize) -> bool {
+        index >= 64 || footprints & 1 << index != 0
+    }
 }
 
 /// Buffers of tile search and collection.
@@ -186,13 +207,13 @@ impl Search<'_> {
         let wanted = self.recipe.bounds(id).and_then(|tile_box| {
             Some(WantedTile {
                 id,
-                max_probability: self.chances.max_probability(&tile_box)?,
+                reach: self.chances.reach(&tile_box, Reach::ANY)?,
                 tile_box,
             })
         });
         match wanted {
             None => self.culled += 1,
-            Some(wanted) if id.level <= thinning::level(wanted.max_probability) => {
+            Some(wanted) if id.level <= thinning::level(wanted.reach.max_probability) => {
                 self.wanted.push(wanted);
             }
             Some(_) => {
@@ -214,19 +235,30 @@ struct Chances<'a> {
 }
 
 impl Chances<'_> {
-    /// An upper bound of the probabilities in a box, infinite where the density is constant; none if no footprint may contain a point of it.
-    fn max_probability(&self, tile_box: &TileBox) -> Option<f64> {
-        let (mut contained, mut most) = (false, 0.0_f64);
+    /// Of a box, all of whose scatterers may be of the footprints `among` only; none if no footprint may contain a point of it.
+    fn reach(&self, tile_box: &TileBox, among: u64) -> Option<Reach> {
+        let mut contained = false;
+        let mut reach = Reach {
+            max_probability: 0.0,
+            footprints: 0,
+        };
         for (index, footprint) in self.footprints.iter().enumerate() {
+            if !Reach::may_reach(among, index) {
+                continue;
+            }
             let apex_m = footprint.apex_m - self.anchor_m;
             if let Some(below) = tile_box.below(footprint, apex_m) {
                 contained |= below <= footprint.depth;
-                most = most.max(self.probabilities.get(index).map_or(f64::INFINITY, |own| {
+                let own = self.probabilities.get(index).map_or(f64::INFINITY, |own| {
                     own.max_probability(tile_box, apex_m, below)
-                }));
+                });
+                reach.max_probability = reach.max_probability.max(own);
+                if index < 64 {
+                    reach.footprints |= 1 << index;
+                }
             }
         }
-        contained.then_some(most)
+        contained.then_some(reach)
     }
 }
 
@@ -252,7 +284,11 @@ fn keep(
     lanes: &[Lanes],
     context: GatherContext,
 ) -> TileCount {
-    let WantedTile { id, tile_box, .. } = wanted;
+    let WantedTile {
+        id,
+        tile_box,
+        reach: of_tile,
+    } = wanted;
     let around = context.occluders(tile_box);
     let mut count = TileCount::default();
     let (mut kept, mut gains) = (
@@ -263,10 +299,10 @@ fn keep(
     gains.clear();
     for block in 0..BLOCKS_PER_TILE {
         let block_box = tile_box.of_block(block);
-        let Some(max_probability) = chances.max_probability(&block_box) else {
+        let Some(reach) = chances.reach(&block_box, of_tile.footprints) else {
             continue;
         };
-        let max_rank = thinning::max_rank(max_probability, id.level);
+        let max_rank = thinning::max_rank(reach.max_probability, id.level);
         let (rows, made) = recipe.make(*id, block, max_rank, tile);
         let around = match around {
             Occluders {
@@ -279,7 +315,16 @@ fn keep(
         let first = block * CELLS_PER_BLOCK;
         let tested = widest(
             #[inline(always)]
-            || test(tile, first, rows, id.level, chances, lanes),
+            || {
+                test(
+                    tile,
+                    first..first + rows,
+                    id.level,
+                    chances,
+                    lanes,
+                    reach.footprints,
+                )
+            },
         );
         // Appended without a branch, which would be predicted wrong for every other scatterer.
         let (mut indices, mut factors, mut some) =
@@ -305,29 +350,38 @@ fn keep(
     count
 }
 
-/// Factors on the strengths of the first `rows` scatterers of a block, in shadow or not; 0 for those that the ping does not keep.
+/// Factors on the strengths of the scatterers in some rows of a block, in shadow or not; 0 for those that the ping does not keep. Only the footprints
+/// `among` have the block in reach.
 #[inline(always)]
 fn test(
     tile: &Tile,
-    first: usize,
-    rows: usize,
+    rows: Range<usize>,
     level: u32,
     chances: Chances,
     lanes: &[Lanes],
+    among: u64,
 ) -> [f32; CELLS_PER_BLOCK] {
+    let mut found = [Found::NOTHING; CELLS_PER_BLOCK / LANES];
+    let found = &mut found[..rows.len() / LANES];
+    for (index, (lanes, footprint)) in lanes.iter().zip(chances.footprints).enumerate() {
+        if !Reach::may_reach(among, index) {
+            continue;
+        }
+        let offset_m = tile.zero_m + (chances.anchor_m - footprint.apex_m);
+        let offset_m = offset_m.as_vec3().to_array();
+        let own = chances.probabilities.get(index);
+        for (group, found) in found.iter_mut().enumerate() {
+            let (grounds, _) = tile.lanes(rows.start + group * LANES);
+            lanes.test(own, offset_m, grounds, found);
+        }
+    }
     let mut gains = [0.0; CELLS_PER_BLOCK];
     let (groups, _) = gains.as_chunks_mut::<LANES>();
-    for (group, gains) in groups[..rows / LANES].iter_mut().enumerate() {
-        let (grounds, ranks) = tile.lanes(first + group * LANES);
-        let mut found = Found::NOTHING;
-        for (index, (lanes, footprint)) in lanes.iter().zip(chances.footprints).enumerate() {
-            let offset_m = tile.zero_m + (chances.anchor_m - footprint.apex_m);
-            let own = chances.probabilities.get(index);
-            lanes.test(own, offset_m.as_vec3().to_array(), grounds, &mut found);
-        }
+    for (group, (gains, found)) in groups.iter_mut().zip(found).enumerate() {
+        let (_, ranks) = tile.lanes(rows.start + group * LANES);
         *gains = match chances.probabilities {
             [] => found.contained.map(f32::from),
-            _ => thinning::gains(ranks, &found, level),
+            _ => thinning::gains(ranks, found, level),
         };
     }
     gains

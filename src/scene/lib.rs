@@ -31,6 +31,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec2;
+use rayon::prelude::*;
 
 pub use bottoms::{ReflectingBottom, reflecting_bottom};
 use echotank_config::spec::{AnchorSpec, SceneSpec, SeabedShape};
@@ -52,6 +53,9 @@ use volume::{VolumeDirections, VolumeField, VolumePing};
 
 /// Surface normal of scatterers that have none.
 const UP: [f32; 3] = [0.0, 0.0, -1.0];
+
+/// Points and scatterers of targets that one task tests for shadows, at least.
+const MIN_SEEN: usize = 128;
 
 /// Error in a scene's files or limits.
 #[derive(Debug, thiserror::Error)]
@@ -138,6 +142,8 @@ pub struct Scene {
     occlusion: Occlusion,
     /// Index of each target scatterer that the last ping kept.
     target_rows: Vec<usize>,
+    /// Whether the arrays of any footprint see each point and each scatterer of a target in range.
+    seen: Vec<bool>,
 }
 
 impl Scene {
@@ -211,6 +217,7 @@ impl Scene {
         };
         Ok(Self {
             target_rows: Vec::with_capacity(targets.scatterers().len()),
+            seen: Vec::with_capacity(points.len() + targets.scatterers().len()),
             anchor_m: DVec2::ZERO,
             anchor: spec.anchor,
             seabed,
@@ -469,11 +476,19 @@ impl Scene {
         };
         let first_target = out.len() - self.target_rows.len();
         let (mut kept, mut kept_targets) = (first, 0);
-        for i in first..out.len() {
-            let at_m = out.position_m(i) - anchor_m;
-            let seen = self.footprints.is_empty()
-                || (0..self.footprints.len()).any(|f| self.occlusion.sees(f, at_m, around));
-            if seen {
+        self.seen.clear();
+        self.seen.resize(out.len() - first, true);
+        let footprints = 0..self.footprints.len();
+        if !footprints.is_empty() {
+            let occlusion = &self.occlusion;
+            let each = self.seen.par_iter_mut().with_min_len(MIN_SEEN).enumerate();
+            each.for_each(|(i, seen)| {
+                let at_m = out.position_m(first + i) - anchor_m;
+                *seen = footprints.clone().any(|f| occlusion.sees(f, at_m, around));
+            });
+        }
+        for (i, seen) in (first..).zip(&self.seen) {
+            if *seen {
                 out.copy_within(i, kept);
                 kept += 1;
                 if i >= first_target {

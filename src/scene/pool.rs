@@ -1,4 +1,5 @@
-//! Cache of tiles with a bounded size. The least recently used tile is replaced.
+//! Cache of tiles with a bounded size. The least recently used tile is replaced where the cache is full, or where no ping has used it for a while: a
+//! platform that moves on then needs little memory, which it does not have to ask for.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -7,6 +8,9 @@ use super::tiles::{Recipe, Tile, TileId};
 
 /// End of the list of slots.
 const NO_SLOT: u32 = u32::MAX;
+
+/// The pool grows while each of its tiles is among those of so many of the last requests.
+const REQUESTS_IN_USE: u64 = 16;
 
 /// A slot of the pool that a ping uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +27,9 @@ pub(crate) struct TilePool {
     capacity: usize,
     slot_of: HashMap<TileId, u32>,
     ids: Vec<TileId>,
+    /// Number of requests so far, and that of the last request of each slot.
+    requests: u64,
+    requested: Vec<u64>,
     /// One thread at a time works on a tile, so no lock ever waits.
     tiles: Vec<Mutex<Tile>>,
     /// Doubly linked list from the most to the least recently used slot.
@@ -40,6 +47,8 @@ impl TilePool {
             capacity: capacity.min(NO_SLOT as usize),
             slot_of: HashMap::new(),
             ids: Vec::new(),
+            requests: 0,
+            requested: Vec::new(),
             tiles: Vec::new(),
             newer: Vec::new(),
             older: Vec::new(),
@@ -52,6 +61,12 @@ impl TilePool {
         self.capacity
     }
 
+    /// Number of tiles in memory.
+    #[cfg(test)]
+    pub(crate) fn len(&self) -> usize {
+        self.tiles.len()
+    }
+
     /// Assigns a slot to each tile. `ids` holds at most [`Self::capacity`] tiles, none twice.
     pub(crate) fn slots(
         &mut self,
@@ -60,6 +75,7 @@ impl TilePool {
     ) {
         assert!(ids.len() <= self.capacity, "more tiles than room");
         out.clear();
+        self.requests += 1;
         // Present tiles come first, so that none of them is replaced.
         for id in ids {
             let index = self.slot_of.get(&id).copied();
@@ -109,7 +125,9 @@ impl TilePool {
 
     /// An unlinked slot: a new one, or that of the least recently used tile.
     fn vacate(&mut self) -> u32 {
-        if self.tiles.len() < self.capacity {
+        let last_request = self.requested.get(self.oldest as usize);
+        let in_use = last_request.is_none_or(|last| self.requests - last <= REQUESTS_IN_USE);
+        if in_use && self.tiles.len() < self.capacity {
             let index = self.tiles.len() as u32;
             // A map that is at most half full rehashes in place, however often entries come and go.
             self.slot_of.reserve(self.tiles.len() + 2);
@@ -118,7 +136,9 @@ impl TilePool {
                 row: 0,
                 col: 0,
             });
-            self.tiles.push(Mutex::new(Tile::with_room()));
+            // Whoever makes the tile allocates its memory, all threads at once.
+            self.tiles.push(Mutex::new(Tile::without_room()));
+            self.requested.push(0);
             self.newer.push(NO_SLOT);
             self.older.push(NO_SLOT);
             return index;
@@ -142,6 +162,7 @@ impl TilePool {
     }
 
     fn link_newest(&mut self, index: u32) {
+        self.requested[index as usize] = self.requests;
         self.newer[index as usize] = NO_SLOT;
         self.older[index as usize] = self.newest;
         match self.newest {

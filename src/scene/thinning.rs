@@ -32,8 +32,8 @@ use glam::DVec3;
 use super::tiles::{NEAREST_M, TileBox};
 use echotank_core::scene::{Footprint, ResolutionCell, kept_share};
 
-/// Scatterers that are tested together.
-pub(crate) const LANES: usize = 16;
+/// Scatterers that are made and tested together. A block of a side lobe has few that may be kept: with twice as many, half of all would be made in vain.
+pub(crate) const LANES: usize = 8;
 
 /// Half of the interval of u / p in which a scatterer fades.
 const FADE: f64 = 0.25;

@@ -24,7 +24,7 @@ use num_complex::Complex32;
 
 use super::bottoms::Bottom;
 use super::draws;
-use super::seabed::Surface;
+use super::seabed::{Depth, Surface};
 use super::thinning::{Grounds, LANES, Thinning};
 use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
 use echotank_core::scene::Footprint;
@@ -231,25 +231,28 @@ pub(crate) struct Tile {
 }
 
 impl Tile {
-    /// An empty tile with memory for all of its scatterers.
-    pub(crate) fn with_room() -> Self {
-        const N: usize = SCATTERERS_PER_TILE;
+    /// An empty tile without memory for scatterers, which [`Recipe::start`] allocates.
+    pub(crate) fn without_room() -> Self {
+        Self::with_room(0)
+    }
+
+    fn with_room(scatterers: usize) -> Self {
         Self {
             zero_m: DVec3::ZERO,
-            north_m: vec![0.0; N],
-            east_m: vec![0.0; N],
-            down_m: vec![0.0; N],
-            slope_north: vec![0.0; N],
-            slope_east: vec![0.0; N],
+            north_m: vec![0.0; scatterers],
+            east_m: vec![0.0; scatterers],
+            down_m: vec![0.0; scatterers],
+            slope_north: vec![0.0; scatterers],
+            slope_east: vec![0.0; scatterers],
             incidence: IncidenceSpec::Normal,
-            strength: vec![Complex32::ZERO; N],
-            rank: vec![0.0; N],
-            cell: vec![0; N],
+            strength: vec![Complex32::ZERO; scatterers],
+            rank: vec![0.0; scatterers],
+            cell: vec![0; scatterers],
             has_holes: false,
             sorted: 0,
             made: [0; BLOCKS_PER_TILE],
-            kept: Vec::with_capacity(N),
-            gain: Vec::with_capacity(N),
+            kept: Vec::with_capacity(scatterers),
+            gain: Vec::with_capacity(scatterers),
         }
     }
 
@@ -288,6 +291,7 @@ impl Tile {
     }
 
     /// Normal from which the scattering law measures angles at a scatterer, a unit vector away from the solid.
+    #[inline(always)]
     pub(crate) fn normal(&self, i: usize) -> [f32; 3] {
         if self.incidence == IncidenceSpec::Flat {
             return super::UP;
@@ -353,6 +357,9 @@ impl Recipe {
 
     /// Makes `tile` the one with this index, without any scatterer.
     pub(crate) fn start(&self, id: TileId, tile: &mut Tile) {
+        if tile.cell.is_empty() {
+            *tile = Tile::with_room(SCATTERERS_PER_TILE);
+        }
         let side_m = self.levels.tile_m(id.level);
         let middle_m = DVec2::new(
             (id.row as f64 + 0.5) * side_m.x,
@@ -381,7 +388,16 @@ impl Recipe {
             tile.sorted |= 1 << block;
         }
         let ranks = &tile.rank[first..first + CELLS_PER_BLOCK];
-        let count = ranks.partition_point(|rank| f64::from(*rank) < max_rank);
+        // Counts all of them, which is faster than a search.
+        let count = widest(
+            #[inline(always)]
+            || {
+                ranks
+                    .iter()
+                    .filter(|rank| f64::from(**rank) < max_rank)
+                    .count()
+            },
+        );
         let count = count.next_multiple_of(LANES);
         let made = usize::from(tile.made[block]);
         for from in (made..count).step_by(LANES) {
@@ -397,10 +413,10 @@ impl Recipe {
         let mut order: [u64; CELLS_PER_BLOCK] = std::array::from_fn(|cell| cell as u64);
         if self.levels.thinning.is_some() {
             for order in order.as_chunks_mut::<LANES>().0 {
-                let own = Cells::of_block(id, block, &order.map(|cell| cell as u8));
                 let ranks = widest(
                     #[inline(always)]
                     || {
+                        let own = Cells::of_block(id, block, &order.map(|cell| cell as u8));
                         let mut finest = own;
                         finest.represent(self.seed, id.level);
                         own.ranks(self.seed, id.level, &finest)
@@ -424,44 +440,65 @@ impl Recipe {
     fn make_lanes(&self, id: TileId, block: usize, from: usize, tile: &mut Tile) {
         let first = block * CELLS_PER_BLOCK + from;
         let (cells, _) = tile.cell[first..].as_chunks::<LANES>();
-        let mut finest = Cells::of_block(id, block, &cells[0]);
-        let mut words = [[0; LANES]; 4];
-        let mut reflectivity = [Complex32::ONE; LANES];
-        widest(
-            #[inline(always)]
-            || {
-                finest.represent(self.seed, id.level);
-                for i in 0..LANES {
-                    let own = draws::of_cell(self.seed, finest.north[i], finest.east[i]);
-                    for (words, own) in words.iter_mut().zip(own) {
-                        words[i] = own;
-                    }
-                }
-                if self.speckle {
-                    for i in 0..LANES {
-                        reflectivity[i] = draws::circular_gaussian(words[2][i], words[3][i]);
-                    }
-                }
-            },
-        );
+        let cells = cells[0];
         // Intensity is proportional to the area of the sloping patch, not of its horizontal projection. The cosine follows below.
         let mu_area_m2 = self.bottom.mu / self.levels.density_per_m2(id.level);
+        let amplitude = |depth: &Depth| (mu_area_m2 / depth.slope_cos()).sqrt();
         let zero_m = tile.zero_m;
-        for i in 0..LANES {
-            let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
-                ((cell as f64 + draws::fraction(jitter)) * self.levels.cell_m - middle_m) as f32
-            };
-            let north_m = from_middle(finest.north[i], words[0][i], zero_m.x);
-            let east_m = from_middle(finest.east[i], words[1][i], zero_m.y);
+        let mut drawn = Drawn::NOTHING;
+        let rows = first..first + LANES;
+        if let (
+            &Surface::Plane {
+                depth_m,
+                slope_north,
+                slope_east,
+            },
+            None,
+        ) = (&*self.surface, &self.mosaic)
+        {
+            let amplitude = amplitude(&Depth {
+                down_m: depth_m,
+                slope_north,
+                slope_east,
+            }) as f32;
+            let mut down_m = [0.0; LANES];
+            widest(
+                #[inline(always)]
+                || {
+                    self.draw(id, block, &cells, zero_m, &mut drawn);
+                    let places = drawn.north_m.iter().zip(&drawn.east_m);
+                    for (down_m, (north_m, east_m)) in down_m.iter_mut().zip(places) {
+                        let at_north_m = zero_m.x + f64::from(*north_m);
+                        let at_east_m = zero_m.y + f64::from(*east_m);
+                        let at_down_m = depth_m + slope_north * at_north_m + slope_east * at_east_m;
+                        *down_m = (at_down_m - zero_m.z) as f32;
+                    }
+                },
+            );
+            tile.north_m[rows.clone()].copy_from_slice(&drawn.north_m);
+            tile.east_m[rows.clone()].copy_from_slice(&drawn.east_m);
+            tile.down_m[rows.clone()].copy_from_slice(&down_m);
+            tile.slope_north[rows.clone()].fill(slope_north as f32);
+            tile.slope_east[rows.clone()].fill(slope_east as f32);
+            for (strength, reflectivity) in tile.strength[rows].iter_mut().zip(drawn.reflectivity) {
+                *strength = amplitude * reflectivity;
+            }
+            return;
+        }
+        widest(
+            #[inline(always)]
+            || self.draw(id, block, &cells, zero_m, &mut drawn),
+        );
+        for (i, row) in rows.enumerate() {
+            let (north_m, east_m) = (drawn.north_m[i], drawn.east_m[i]);
             let (at_north_m, at_east_m) =
                 (zero_m.x + f64::from(north_m), zero_m.y + f64::from(east_m));
-            let row = first + i;
             let Some(depth) = self.surface.sample(at_north_m, at_east_m) else {
                 tile.down_m[row] = f32::NAN;
                 tile.has_holes = true;
                 continue;
             };
-            let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
+            let mut amplitude = amplitude(&depth);
             if let Some(mosaic) = &self.mosaic {
                 let (north_m, east_m) = self.surface.unmirrored(at_north_m, at_east_m);
                 amplitude *= mosaic.factor(north_m, east_m);
@@ -471,9 +508,67 @@ impl Recipe {
             tile.down_m[row] = (depth.down_m - zero_m.z) as f32;
             tile.slope_north[row] = depth.slope_north as f32;
             tile.slope_east[row] = depth.slope_east as f32;
-            tile.strength[row] = amplitude as f32 * reflectivity[i];
+            tile.strength[row] = amplitude as f32 * drawn.reflectivity[i];
         }
     }
+
+    /// Draws the scatterers at places of a block. Loops without branches.
+    #[inline(always)]
+    fn draw(
+        &self,
+        id: TileId,
+        block: usize,
+        places: &[u8; LANES],
+        zero_m: DVec3,
+        drawn: &mut Drawn,
+    ) {
+        let mut words = [[0; LANES]; 4];
+        let mut finest = Cells::of_block(id, block, places);
+        finest.represent(self.seed, id.level);
+        for i in 0..LANES {
+            let own = draws::of_cell(self.seed, finest.north[i], finest.east[i]);
+            for (words, own) in words.iter_mut().zip(own) {
+                words[i] = own;
+            }
+        }
+        let [to_north, to_east, a, b] = &words;
+        if self.speckle {
+            for (reflectivity, (a, b)) in drawn.reflectivity.iter_mut().zip(a.iter().zip(b)) {
+                *reflectivity = draws::circular_gaussian(*a, *b);
+            }
+        }
+        let cell_m = self.levels.cell_m;
+        let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
+            ((cell as f64 + draws::fraction(jitter)) * cell_m - middle_m) as f32
+        };
+        for (north_m, (cell, jitter)) in drawn
+            .north_m
+            .iter_mut()
+            .zip(finest.north.iter().zip(to_north))
+        {
+            *north_m = from_middle(*cell, *jitter, zero_m.x);
+        }
+        for (east_m, (cell, jitter)) in drawn.east_m.iter_mut().zip(finest.east.iter().zip(to_east))
+        {
+            *east_m = from_middle(*cell, *jitter, zero_m.y);
+        }
+    }
+}
+
+/// Random properties of scatterers that are made together.
+struct Drawn {
+    /// From the origin of the tile.
+    north_m: [f32; LANES],
+    east_m: [f32; LANES],
+    reflectivity: [Complex32; LANES],
+}
+
+impl Drawn {
+    const NOTHING: Self = Self {
+        north_m: [0.0; LANES],
+        east_m: [0.0; LANES],
+        reflectivity: [Complex32::ONE; LANES],
+    };
 }
 
 /// Indices of cells of a block in a level. The functions are loops without branches over the cells.
@@ -485,6 +580,7 @@ struct Cells {
 
 impl Cells {
     /// Cells at places of a block.
+    #[inline(always)]
     fn of_block(id: TileId, block: usize, places: &[u8; LANES]) -> Self {
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
         let zero = (first(id.row), first(id.col));

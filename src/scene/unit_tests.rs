@@ -130,7 +130,7 @@ impl Whole {
 }
 
 fn make_id(recipe: &Recipe, id: TileId) -> Whole {
-    let mut tile = Tile::with_room();
+    let mut tile = Tile::without_room();
     recipe.start(id, &mut tile);
     Whole::make(recipe, id, &mut tile)
 }
@@ -321,6 +321,33 @@ fn the_least_recently_used_tile_is_replaced() {
     // Of two tiles requested together, the present one is not replaced by the other, whatever the order.
     let both = requested(&mut pool, &recipe, &[id((5, 5)), id((0, 0))]);
     assert_eq!((both[0].1, both[1].1), (true, false));
+}
+
+#[test]
+fn a_tile_that_no_request_used_for_a_while_is_replaced_before_the_pool_is_full() {
+    let recipe = plane_recipe(0.0, 0.0, 4.0, true);
+    let mut pool = TilePool::new(1000);
+    // A platform that moves on: each tile is used by three requests.
+    for step in 0..200 {
+        let group = [step, step + 1, step + 2].map(|row| id((row, 0)));
+        for (id, (got, _)) in group.iter().zip(requested(&mut pool, &recipe, &group)) {
+            assert_eq!(
+                got,
+                tile_bits(&make_id(&recipe, *id)),
+                "step {step}, {id:?}"
+            );
+        }
+    }
+    println!("{} tiles in memory", pool.len());
+    assert!((10..30).contains(&pool.len()), "{}", pool.len());
+    // One that stays, and one that goes round, each at every third request.
+    let mut made = 0;
+    for step in 0..60 {
+        let group = [id((0, 1)), id((step % 3, 2))];
+        let all = requested(&mut pool, &recipe, &group);
+        made += all.iter().filter(|(_, new)| *new).count();
+    }
+    assert_eq!(made, 4);
 }
 
 #[test]
