@@ -373,7 +373,7 @@ class Profiles(Browser):
         self.wait_text("#profile-note", "set")
         self.wait_text("#profile-now", "3 points, 1478 to 1510 m/s")
         self.wait_text("#log", "profile of 3 points accepted")
-        for text, why in (("5 1500", "2 to 1000 points"), ("0 1500\n9 1480\n4 1490", "depth"), ("0 1500\n9 150", "1300"), ("0 1500\n9 fast", "line 2: expected a depth")):
+        for text, why in (("5 1500", "must be 2 to 1000"), ("0 1500\n9 1480\n4 1490", "depth"), ("0 1500\n9 150", "1300"), ("0 1500\n9 fast", "line 2: expected a depth")):
             self.set(text)
             self.wait_text("#profile-note", why)
             self.assertEqual(page.get_attribute("#profile-note", "data-is"), "bad")
