@@ -606,13 +606,12 @@ impl Cells {
         halves
     }
 
-    /// The indices in the direction in which cells of a level are halved.
+    /// By how many bits the indices north and east of a cell of a level are shorter than those of its halves. Both directions are shifted at every level,
+    /// so that the indices stay in registers.
     #[inline(always)]
-    fn halved(&mut self, level: u32) -> &mut [i64; LANES] {
-        match level % 2 {
-            1 => &mut self.north,
-            _ => &mut self.east,
-        }
+    const fn shifts(level: u32) -> (i64, i64) {
+        let north = (level % 2) as i64;
+        (north, 1 - north)
     }
 
     /// Replaces cells of a level by the cells of level 0 whose scatterers represent them.
@@ -620,9 +619,10 @@ impl Cells {
     fn represent(&mut self, seed: u64, level: u32) {
         for level in (1..=level).rev() {
             let halves = self.halves(seed, level);
-            let indices = self.halved(level);
-            for i in 0..LANES {
-                indices[i] = 2 * indices[i] + halves[i];
+            let (by_north, by_east) = Self::shifts(level);
+            for (i, half) in halves.iter().enumerate() {
+                self.north[i] = (self.north[i] << by_north) + (half & -by_north);
+                self.east[i] = (self.east[i] << by_east) + (half & -by_east);
             }
         }
     }
@@ -636,10 +636,11 @@ impl Cells {
         let (mut represents, mut further) = ([1; LANES], [0; LANES]);
         for level in level + 1..=MAX_LEVEL {
             let mut own = [0; LANES];
-            let indices = cells.halved(level);
-            for i in 0..LANES {
-                own[i] = indices[i] & 1;
-                indices[i] >>= 1;
+            let (by_north, by_east) = Self::shifts(level);
+            for (i, own) in own.iter_mut().enumerate() {
+                *own = (cells.north[i] & by_north) | (cells.east[i] & by_east);
+                cells.north[i] >>= by_north;
+                cells.east[i] >>= by_east;
             }
             let halves = cells.halves(seed, level);
             let mut any = 0;
