@@ -255,7 +255,7 @@ pub(crate) struct LaneTable<'a> {
 /// Transforms every column of `job`. Row r then holds frequency [`BatchedFft::frequencies`]\[r].
 pub(crate) fn transform_lanes(simd_level: SimdLevel, fft: &BatchedFft<f32>, mut job: LaneTable) {
     assert!(
-        job.lanes > 0 && job.lanes.is_multiple_of(2 * LANES),
+        job.lanes > 0 && job.lanes.is_multiple_of(LANES),
         "{} lanes",
         job.lanes
     );
@@ -266,9 +266,11 @@ pub(crate) fn transform_lanes(simd_level: SimdLevel, fft: &BatchedFft<f32>, mut 
         // SAFETY (all three calls): a `SimdLevel` of this kind exists only on processors with the features; shapes are checked
         // above.
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512 => unsafe { lanes_avx512(fft, &mut job) },
+        Kind::Avx512 if job.lanes.is_multiple_of(2 * LANES) => unsafe {
+            lanes_avx512(fft, &mut job)
+        },
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx2 => unsafe { lanes_avx2(fft, &mut job) },
+        Kind::Avx512 | Kind::Avx2 => unsafe { lanes_avx2(fft, &mut job) },
         _ => unsafe { all_lanes::<[f32; 8]>(fft, &mut job) },
     }
 }

@@ -19,7 +19,7 @@ use echotank_core::simd::SimdLevel;
 use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, NodeCounts, gain_error, interpolation_error_m};
-use super::spread::LANES;
+use super::spread::{LANES, NARROW};
 use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
@@ -361,7 +361,8 @@ impl Design {
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let extent_s = 0.55 * pulse.duration_s + filter.half_s() + 1.1 * half_m / c;
         let extent = (extent_s * rate_hz).ceil() as usize + 1;
-        let blocks = array.elements.div_ceil(LANES) as f64;
+        let narrow = (1..=NARROW).contains(&(array.elements % LANES));
+        let blocks = array.elements.div_ceil(LANES) as f64 - if narrow { 0.45 } else { 0.0 };
         let (echoes, samples) = (spec.scatterers as f64, spec.samples);
 
         let moving = spec.doppler != DopplerModel::None;

@@ -26,7 +26,7 @@ use super::design::{BEYOND_SHARE, Design, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
 use super::nodes::{BlockWeights, NODES, NodeCounts, block_weights, coefficients, places};
-use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add, column_stride};
+use super::spread::{CELL, EchoChunk, LANES, Located, NARROW, Shape, add, column_stride};
 
 /// Echoes are ordered by arrival in steps of this many rows.
 const BUCKET_ROWS: usize = 8;
@@ -307,9 +307,13 @@ impl GriddedLines {
             state
                 .blocks
                 .extend((0..array.elements.div_ceil(LANES)).map(|block| {
-                    let middle = (block * LANES) as f64 + 0.5 * (LANES as f64 - 1.0);
-                    let middle = middle - 0.5 * (array.elements - 1) as f64;
-                    block_weights(nodes, gains, middle * per_element, per_element)
+                    let lanes = match array.elements - block * LANES {
+                        ..=NARROW => NARROW,
+                        _ => LANES,
+                    };
+                    let middle = (block * LANES) as f64 + 0.5 * (lanes as f64 - 1.0);
+                    let x = (middle - 0.5 * (array.elements - 1) as f64) * per_element;
+                    block_weights(nodes, gains, lanes, x, per_element)
                 }));
         }
         let matrix = coefficients(&state.nodes);
@@ -535,7 +539,7 @@ impl GriddedLines {
             });
     }
 
-    fn shape(&self, plan: &PingPlan, slab: &SlabPlan) -> Shape {
+    fn shape(&self, plan: &PingPlan, slab: &SlabPlan, lanes: usize) -> Shape {
         let Design {
             kernel, columns, ..
         } = &self.design;
@@ -544,6 +548,7 @@ impl GriddedLines {
             weights.map(|terms| terms.map(|term| term as f32))
         };
         Shape {
+            lanes,
             nodes: self.state.tracks.count(),
             gain_nodes: self.state.gain_nodes,
             rows: self.design.slab_rows,
@@ -597,7 +602,7 @@ impl GriddedLines {
         self.state.outputs = outputs;
     }
 
-    /// One slab of one block: `output` gets `slab_samples * CELL` numbers, in the order of the inverse transform.
+    /// One slab of one block: `output` gets `slab_samples` cells, in the order of the inverse transform.
     fn run_task(
         &self,
         plan: &PingPlan,
@@ -611,13 +616,15 @@ impl GriddedLines {
             grid,
             scratch,
         } = work;
-        let shape = self.shape(plan, slab);
+        let lanes = block.lanes;
+        let shape = self.shape(plan, slab, lanes);
         // Each task leaves zeros.
-        let stride = column_stride(shape.rows) * CELL;
+        let stride = column_stride(shape.rows) * 2 * lanes;
         let used = shape.columns * stride;
         if grid.len() < used {
-            // Room for all columns: a ping of the same size may use more of them.
-            let most = (2 * template_reach(&self.design) + 1) * stride;
+            // Room for all columns of any block: a ping of the same size may use more of them.
+            let cells = column_stride(shape.rows) * CELL;
+            let most = (2 * template_reach(&self.design) + 1) * cells;
             grid.reserve(most.max(used));
             grid.resize_zeros(used);
         }
@@ -627,7 +634,7 @@ impl GriddedLines {
             add(self.simd_level, &shape, block, chunk, located, grid);
         }
         output.clear();
-        output.resize_zeros(self.design.slab_samples * CELL);
+        output.resize_zeros(self.design.slab_samples * 2 * lanes);
         let output = output.numbers_mut();
         let first = (slab.first_column + template_reach(&self.design) as i32) as usize;
         let bins = self.bins.len();
@@ -636,24 +643,27 @@ impl GriddedLines {
             for column in columns.chunks_exact_mut(stride) {
                 let table = LaneTable {
                     table: column,
-                    stride: CELL,
+                    stride: 2 * lanes,
                     first: 0,
-                    lanes: LANES,
+                    lanes,
                     scratch,
                 };
                 transform_lanes(self.simd_level, &self.forward, table);
             }
             self.simd_level.run(
                 #[inline(always)]
-                || self.apply_templates(templates, columns, output),
+                || match lanes {
+                    NARROW => self.apply_templates::<NARROW>(templates, columns, output),
+                    _ => self.apply_templates::<LANES>(templates, columns, output),
+                },
             );
             columns.fill(0.0);
         }
         let table = LaneTable {
             table: output,
-            stride: CELL,
+            stride: 2 * lanes,
             first: 0,
-            lanes: LANES,
+            lanes,
             scratch,
         };
         transform_lanes(self.simd_level, &self.inverse, table);
@@ -661,27 +671,33 @@ impl GriddedLines {
 
     /// Adds up to [`TOGETHER`] columns, each row times its template, to the rows of the spectrum, with real and imaginary parts exchanged.
     #[inline(always)]
-    fn apply_templates(&self, templates: &[Complex<f32>], columns: &[f32], output: &mut [f32]) {
+    fn apply_templates<const L: usize>(
+        &self,
+        templates: &[Complex<f32>],
+        columns: &[f32],
+        output: &mut [f32],
+    ) {
         let stride = column_stride(self.design.slab_rows);
-        let columns = columns.as_chunks::<CELL>().0;
-        let output = output.as_chunks_mut::<CELL>().0;
+        // Real parts and imaginary parts of each cell follow each other.
+        let parts = columns.as_chunks::<L>().0;
+        let output = output.as_chunks_mut::<L>().0;
         let bins = self.bins.len();
         for (bin, &(from, to)) in self.bins.iter().enumerate() {
-            let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
+            let (mut re, mut im) = ([0.0f32; L], [0.0f32; L]);
             let templates = templates[bin..].iter().step_by(bins);
-            let cells = columns[from as usize..].iter().step_by(stride);
+            let cells = parts[2 * from as usize..].chunks(2 * stride);
             for (template, cell) in templates.zip(cells) {
                 let Complex { re: a, im: b } = *template;
-                for lane in 0..LANES {
-                    let (x, y) = (cell[lane], cell[LANES + lane]);
-                    re[lane] += a * x - b * y;
-                    im[lane] += a * y + b * x;
+                let [x, y] = [&cell[0], &cell[1]];
+                for lane in 0..L {
+                    re[lane] += a * x[lane] - b * y[lane];
+                    im[lane] += a * y[lane] + b * x[lane];
                 }
             }
-            let out = &mut output[to as usize];
-            for lane in 0..LANES {
-                out[lane] += im[lane];
-                out[LANES + lane] += re[lane];
+            let to = 2 * to as usize;
+            for lane in 0..L {
+                output[to][lane] += im[lane];
+                output[to + 1][lane] += re[lane];
             }
         }
     }
@@ -698,10 +714,10 @@ impl GriddedLines {
             outputs,
             ..
         } = &self.state;
-        let blocks = blocks.len();
         iq.par_chunks_mut(count * LANES)
             .enumerate()
             .for_each(|(block, iq)| {
+                let (lanes, blocks) = (blocks[block].lanes, blocks.len());
                 iq.fill(Complex64::ZERO);
                 let elements = iq.len() / count;
                 for (s, slab) in slabs.iter().enumerate() {
@@ -713,11 +729,11 @@ impl GriddedLines {
                     let end = (slab.origin + self.design.slab_samples as isize).min(count as isize);
                     for k in begin..end {
                         let row = self.row_of_sample[(k - slab.origin) as usize] as usize;
-                        let cell = &output[row * CELL..][..CELL];
+                        let cell = &output[row * 2 * lanes..][..2 * lanes];
                         for lane in 0..elements {
                             // Real and imaginary parts are exchanged, which makes the transform an inverse one.
                             let value =
-                                Complex64::new(cell[LANES + lane].into(), cell[lane].into());
+                                Complex64::new(cell[lanes + lane].into(), cell[lane].into());
                             iq[lane * count + k as usize] += value;
                         }
                     }

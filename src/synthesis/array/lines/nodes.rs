@@ -5,7 +5,6 @@ use std::f64::consts::PI;
 use crate::echo::walk::{MAX_GAIN_NODES, MAX_NODES, gain_node};
 
 use super::polynomials::{chebyshev_nodes, lagrange_powers};
-use super::spread::LANES;
 
 /// Coefficients of the gain along a block.
 pub(super) const GAIN_TERMS: usize = 4;
@@ -13,6 +12,8 @@ pub(super) const GAIN_TERMS: usize = 4;
 /// Weights of the Chebyshev coefficients of delays, and of the gain nodes, for one block.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BlockWeights {
+    /// Elements of the block that the engine computes; the last block of a line may have fewer.
+    pub lanes: usize,
     pub value: [f32; MAX_NODES],
     /// Per element.
     pub slope: [f32; MAX_NODES],
@@ -108,10 +109,12 @@ fn chebyshev(x: f64) -> [[f64; 4]; MAX_NODES] {
     all
 }
 
-/// Weights at `x` half lines from the centre for gains at `gain_nodes` of the `nodes`; an element is `per_element` half lines long.
+/// Weights of a block of so many `lanes` about `x` half lines from the centre for gains at `gain_nodes` of the `nodes`; an element is `per_element` half
+/// lines long.
 pub(super) fn block_weights(
     nodes: &[f64],
     gain_nodes: usize,
+    lanes: usize,
     x: f64,
     per_element: f64,
 ) -> BlockWeights {
@@ -121,7 +124,7 @@ pub(super) fn block_weights(
         *at = nodes[gain_node(k, gain_nodes, nodes.len())];
     }
     // Cubic through four points of the block.
-    let points = chebyshev_nodes::<GAIN_TERMS>().map(|z| z * 0.5 * LANES as f64);
+    let points = chebyshev_nodes::<GAIN_TERMS>().map(|z| z * 0.5 * lanes as f64);
     let mut gain = [[0.0f64; MAX_GAIN_NODES]; GAIN_TERMS];
     for (point, powers) in points.iter().zip(lagrange_powers(&points)) {
         let values = lagrange(&gains[..gain_nodes], x + point * per_element);
@@ -133,6 +136,7 @@ pub(super) fn block_weights(
     }
     let fill = |derivative: usize, scale: f64| all.map(|at| (scale * at[derivative]) as f32);
     BlockWeights {
+        lanes,
         value: fill(0, 1.0),
         slope: fill(1, per_element),
         curvature: fill(2, 0.5 * per_element * per_element),
@@ -196,6 +200,7 @@ pub(super) fn interpolation_error_m(nodes: usize, half_m: f64, block_m: f64, ran
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::array::lines::spread::LANES;
 
     #[test]
     fn weights_reproduce_value_and_derivatives_of_a_polynomial() {
@@ -208,7 +213,7 @@ mod tests {
                 parts.map(|(weight, place)| weight * f(*place)).sum()
             });
             for x in [-1.0, -0.2, 0.0, 0.9] {
-                let weights = block_weights(&places, 3, x, 0.01);
+                let weights = block_weights(&places, 3, LANES, x, 0.01);
                 let sum = |w: &[f32; MAX_NODES]| -> f64 {
                     w.iter().zip(&terms).map(|(w, t)| f64::from(*w) * t).sum()
                 };
@@ -245,8 +250,13 @@ mod tests {
                     for block in 0..3 {
                         let middle = (block * LANES) as f64 + 7.5 - 19.5;
                         let per_element = 0.05;
-                        let weights =
-                            block_weights(&nodes, counts.gains, middle * per_element, per_element);
+                        let weights = block_weights(
+                            &nodes,
+                            counts.gains,
+                            LANES,
+                            middle * per_element,
+                            per_element,
+                        );
                         for lane in 0..LANES {
                             let element = block * LANES + lane;
                             let place = lane as f64 - 7.5;

@@ -1,6 +1,6 @@
 //! The inner loop: echoes of one chunk onto the grid of one block of elements.
 //!
-//! A grid has columns of Doppler; a column has rows of delay; a cell has the real parts of [`LANES`] neighbouring elements and then their
+//! A grid has columns of Doppler; a column has rows of delay; a cell has the real parts of [`LANES`] neighbouring elements (of [`NARROW`] in a narrow block) and then their
 //! imaginary parts.
 
 use std::f32::consts::TAU;
@@ -19,6 +19,8 @@ use super::nodes::{BlockWeights, GAIN_TERMS};
 
 /// Elements of a block.
 pub(super) const LANES: usize = 16;
+/// Elements of the last block of a line, if no more are left.
+pub(super) const NARROW: usize = 8;
 /// Numbers of a cell.
 pub(super) const CELL: usize = 2 * LANES;
 /// Cells between the columns of a grid with so many rows. The cells of one row in neighbouring columns lie 8 cells apart but for multiples of the page,
@@ -27,8 +29,10 @@ pub(super) fn column_stride(rows: usize) -> usize {
     rows.next_multiple_of(32) + 8
 }
 
-/// The middle of a block lies at this lane.
-const MIDDLE: f32 = 0.5 * (LANES as f32 - 1.0);
+/// The middle of a block of so many elements lies at this lane.
+const fn middle(lanes: usize) -> f32 {
+    0.5 * (lanes as f32 - 1.0)
+}
 
 /// Echoes of one slab at the nodes of the line, in order of delay.
 pub(super) struct EchoChunk {
@@ -64,6 +68,8 @@ impl Default for EchoChunk {
 /// Numbers that all echoes of a task share.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shape {
+    /// Elements of the block: [`LANES`] or [`NARROW`].
+    pub lanes: usize,
     /// Nodes with delays, and those with gains.
     pub nodes: usize,
     pub gain_nodes: usize,
@@ -135,7 +141,7 @@ impl Default for Located {
     }
 }
 
-/// Adds the echoes of `chunk` to the grid of a block: `columns * column_stride(rows) * CELL` numbers.
+/// Adds the echoes of `chunk` to the grid of a block: `columns * column_stride(rows)` cells.
 pub(super) fn add(
     simd_level: SimdLevel,
     shape: &Shape,
@@ -145,20 +151,36 @@ pub(super) fn add(
     grid: &mut [f32],
 ) {
     let cells = shape.columns * column_stride(shape.rows);
-    assert_eq!(grid.len(), cells * CELL, "grid");
+    assert_eq!(grid.len(), cells * 2 * shape.lanes, "grid");
+    assert!(
+        matches!(shape.lanes, LANES | NARROW),
+        "{} lanes",
+        shape.lanes
+    );
     assert!(
         (1..=MAX_TAPS).contains(&shape.taps) && shape.taps <= shape.columns,
         "{} taps of {} columns",
         shape.taps,
         shape.columns
     );
+    let narrow = shape.lanes == NARROW;
     match simd_level.kind() {
-        // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; `locate` keeps all rows in the grid.
+        // SAFETY (of all): a `SimdLevel` of this kind exists only on processors with the features; `locate` keeps all rows in the grid.
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512 => unsafe { add_avx512(shape, block, chunk, located, grid) },
+        Kind::Avx512 if !narrow => unsafe { add_avx512(shape, block, chunk, located, grid) },
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx2 => unsafe { add_avx2(shape, block, chunk, located, grid) },
-        _ => unsafe { add_on::<[f32; 8], false>(shape, block, chunk, located, grid) },
+        Kind::Avx512 | Kind::Avx2 => unsafe {
+            match narrow {
+                true => add_avx2::<NARROW>(shape, block, chunk, located, grid),
+                false => add_avx2::<LANES>(shape, block, chunk, located, grid),
+            }
+        },
+        _ => unsafe {
+            match narrow {
+                true => add_on::<[f32; 8], NARROW, false>(shape, block, chunk, located, grid),
+                false => add_on::<[f32; 8], LANES, false>(shape, block, chunk, located, grid),
+            }
+        },
     }
 }
 
@@ -172,39 +194,41 @@ unsafe fn add_avx512(
     located: &mut Located,
     grid: &mut [f32],
 ) {
-    unsafe { add_on::<__m512, true>(shape, block, chunk, located, grid) }
+    unsafe { add_on::<__m512, LANES, true>(shape, block, chunk, located, grid) }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-unsafe fn add_avx2(
+unsafe fn add_avx2<const L: usize>(
     shape: &Shape,
     block: &BlockWeights,
     chunk: &EchoChunk,
     located: &mut Located,
     grid: &mut [f32],
 ) {
-    unsafe { add_on::<__m256, true>(shape, block, chunk, located, grid) }
+    unsafe { add_on::<__m256, L, true>(shape, block, chunk, located, grid) }
 }
 
+/// `L`: lanes of the block.
+///
 /// SAFETY: the processor must have V, and fused multiplication and addition if `FUSED`.
 #[inline(always)]
-unsafe fn add_on<V: Lanes<Number = f32>, const FUSED: bool>(
+unsafe fn add_on<V: Lanes<Number = f32>, const L: usize, const FUSED: bool>(
     shape: &Shape,
     block: &BlockWeights,
     chunk: &EchoChunk,
     located: &mut Located,
     grid: &mut [f32],
 ) {
-    locate::<FUSED>(shape, block, chunk, located);
+    locate::<L, FUSED>(shape, block, chunk, located);
     order(chunk.len, located);
     // SAFETY: the caller guarantees V.
     unsafe {
         match shape.taps {
-            1 => spread::<V, 1>(shape, located, grid),
-            2 => spread::<V, 2>(shape, located, grid),
-            3 => spread::<V, 3>(shape, located, grid),
-            _ => spread::<V, MAX_TAPS>(shape, located, grid),
+            1 => spread::<V, L, 1>(shape, located, grid),
+            2 => spread::<V, L, 2>(shape, located, grid),
+            3 => spread::<V, L, 3>(shape, located, grid),
+            _ => spread::<V, L, MAX_TAPS>(shape, located, grid),
         }
     }
 }
@@ -247,7 +271,7 @@ fn order(len: usize, located: &mut Located) {
 }
 
 #[inline(always)]
-fn locate<const FUSED: bool>(
+fn locate<const L: usize, const FUSED: bool>(
     shape: &Shape,
     block: &BlockWeights,
     chunk: &EchoChunk,
@@ -277,8 +301,8 @@ fn locate<const FUSED: bool>(
     const WHOLE_F32: f32 = (1u32 << 23) as f32;
     for (i, later) in later.iter().enumerate() {
         let value = chunk.middle[i] + f64::from(*later);
-        let end = (out.cubic[i].abs() * MIDDLE + out.curvature[i].abs()) * MIDDLE;
-        let reach = f64::from((end + out.slope[i].abs()) * MIDDLE);
+        let end = (out.cubic[i].abs() * middle(L) + out.curvature[i].abs()) * middle(L);
+        let reach = f64::from((end + out.slope[i].abs()) * middle(L));
         // Smallest whole number not below, largest not above.
         let low = least(greater(value - reach - half_width, 0.0), last);
         let whole = (low + ROUND) - ROUND;
@@ -398,26 +422,26 @@ unsafe fn horner<V: Lanes<Number = f32>, const N: usize>(terms: &[f32; N], x: V)
 
 /// SAFETY: the processor must have V.
 #[inline(always)]
-unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
+unsafe fn spread<V: Lanes<Number = f32>, const L: usize, const TAPS: usize>(
     shape: &Shape,
     located: &Located,
     grid: &mut [f32],
 ) {
-    let stride = column_stride(shape.rows) * CELL;
+    let stride = column_stride(shape.rows) * 2 * L;
     let per_half = 2.0 / shape.width;
     let turns_per_row = shape.turns_per_row as f32;
     let mut lanes = [0.0f32; LANES];
     for (lane, place) in lanes.iter_mut().enumerate() {
-        *place = lane as f32 - MIDDLE;
+        *place = lane as f32 - middle(L);
     }
     for &i in &located.order[..located.len.min(CHUNK)] {
         let i = i as usize % CHUNK;
         let (rows, first) = (located.rows[i] as usize, located.row[i] as usize);
         // Checks once what the rows below write.
-        let begin = located.column[i] as usize * stride + first * CELL;
-        let cells = &mut grid[begin..begin + (TAPS - 1) * stride + rows * CELL];
-        for part in (0..LANES).step_by(V::COUNT) {
-            // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
+        let begin = located.column[i] as usize * stride + first * 2 * L;
+        let cells = &mut grid[begin..begin + (TAPS - 1) * stride + rows * 2 * L];
+        for part in (0..L).step_by(V::COUNT) {
+            // SAFETY: the caller guarantees V; `part` + V's lanes <= L; rows and taps lie within `cells`.
             unsafe {
                 let place = V::load(lanes.as_ptr().add(part));
                 let off = V::splat(located.cubic[i])
@@ -455,12 +479,12 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
                     let t = z.neg_mul_add(z, one).max(zero);
                     let k = horner(&shape.terms, t).mul(t);
                     for (tap, (re, im)) in parts.iter().enumerate() {
-                        let (at_re, at_im) = (to.add(tap * stride), to.add(tap * stride + LANES));
+                        let (at_re, at_im) = (to.add(tap * stride), to.add(tap * stride + L));
                         re.mul_add(k, V::load(at_re)).store(at_re);
                         im.mul_add(k, V::load(at_im)).store(at_im);
                     }
                     z = z.sub(step);
-                    to = to.wrapping_add(CELL);
+                    to = to.wrapping_add(2 * L);
                 }
             }
         }
