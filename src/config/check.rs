@@ -402,10 +402,6 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
     let wind_m_per_s = table.wind_m_per_s.get();
     let surface = table.surface.given_and_then(|t| surface(t, wind_m_per_s?));
     let multipath = table.multipath.given_and_then(multipath);
-    if table.multipath.given && table.profile.given {
-        let rule = "not with [medium.profile]: reflected echoes need water of one sound speed";
-        problems.refuse(&table.multipath, rule);
-    }
     let profile = profile?;
     let sound_speed_m_per_s = match &profile {
         Some(profile) => profile.range_m_per_s().0,

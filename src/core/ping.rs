@@ -107,6 +107,17 @@ pub struct Refraction {
     pub array_m: DVec3,
     /// No ray is followed below this depth, metres: the seabed below the sonar.
     pub floor_m: f64,
+    /// Where echoes by surface and bottom are made.
+    pub reflections: Option<Reflections>,
+}
+
+/// Boundaries that reflect sound.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reflections {
+    /// Depth of the mean surface, metres.
+    pub surface_m: f64,
+    /// Whether the bottom reflects too.
+    pub by_bottom: bool,
 }
 
 impl Refraction {

@@ -140,8 +140,7 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     slot.output.scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
     rig.append_volume(&slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.append_moving(&slot.plan, &mut scatterers, &mut slot.output.scene);
-    slot.output.scene.unreached = rig.bend(&slot.plan, &mut scatterers);
-    slot.output.scene.images = rig.add_images(&slot.plan, &mut scatterers);
+    rig.propagate(&slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.scatterers = scatterers;
     let unit = &mut rig.sonars[sonar];
     let finder = &mut unit.range_floors;

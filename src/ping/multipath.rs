@@ -20,22 +20,29 @@
 //! in the plane of incidence, and by the sine of the grazing angle times that across it (geometric optics of small slopes). The random numbers depend on seed,
 //! ping, scatterer and pair alone. A pair and its reverse have the same, because the surface hardly changes during a ping.
 //!
+//! In water whose sound speed changes with depth, the images are the virtual points of reflected rays (`reflected_rays`), with the grazing angles, levels and
+//! times of the rays.
+//!
 //! A pair is left out where its pattern, coefficients included, is below the floor of the ping (`ModelChoice::cull_db`), or its path beyond the window. Not
-//! modelled: legs with more reflections, shadows of reflected legs, refraction.
+//! modelled: legs with more reflections, shadows of reflected legs.
 
 use glam::DVec3;
 use num_complex::Complex64;
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+use std::sync::Arc;
 
 use crate::rig::Rig;
 use crate::sea_surface::sea_surface;
 use echotank_config::spec::RigSpec;
-use echotank_core::ping::PingPlan;
+use echotank_core::ping::{PingPlan, Reflections, SceneCounts};
 use echotank_core::scene::{BaffledFace, Footprint, PatternSide, Scatterers};
+use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_scene::draws::{circular_gaussian, fraction, philox};
 use echotank_scene::{Ground, reflecting_bottom};
 use echotank_synthesis::echo::boundaries::{FluidBottom, Reflection, SeaSurface};
+use echotank_synthesis::echo::rays::VirtualPoints;
+use echotank_synthesis::echo::reflected_rays::{BottomPlane, Bounce, ReflectedRays};
 
 /// Separates these numbers from other uses of the same seed.
 const IMAGES: u32 = 0x1A6E_5EED;
@@ -73,11 +80,15 @@ pub(crate) struct Multipath {
     surface_down_m: f64,
     /// None without legs by the bottom.
     bottom: Option<FluidBottom>,
+    /// In water that bends sound.
+    rays: Option<ReflectedRays>,
     seed: u64,
     /// Those of the direct legs, and those that hold every scatterer with a reflected echo.
     areas: Vec<Footprint>,
     wide: Vec<Footprint>,
     blocks: Vec<Block>,
+    /// Blocks of the last ping.
+    made: usize,
 }
 
 /// A task.
@@ -94,6 +105,8 @@ struct Leg {
     image_m: DVec3,
     normal: [f32; 3],
     reflection: Reflection,
+    /// Factor on the pressure by refraction; 1 in water of one sound speed.
+    gain: f64,
     /// Distances from the sonar, sines of the grazing angle, and rms slopes of the reflections, the first from the sonar on.
     bends: [Bend; BENDS],
     count: usize,
@@ -124,11 +137,26 @@ impl Multipath {
                 rms_m: given.bottom_roughness_m.unwrap_or(own.rms_m),
                 slope2: slope * slope,
             }),
+            rays: spec.medium.profile.clone().map(ReflectedRays::new),
             seed: spec.scene.seed,
             areas: Vec::new(),
             wide: Vec::new(),
             blocks: Vec::new(),
+            made: 0,
         })
+    }
+
+    /// Replaces the sound-speed profile of the pings to come.
+    pub(crate) fn set_profile(&mut self, profile: &Arc<SoundSpeedProfile>) {
+        self.rays = Some(ReflectedRays::new(profile.clone()));
+    }
+
+    /// The boundaries that reflect.
+    pub(crate) fn reflections(&self) -> Reflections {
+        Reflections {
+            surface_m: self.surface_down_m,
+            by_bottom: self.bottom.is_some(),
+        }
     }
 
     /// Footprints that hold every scatterer with an echo of any pair of legs, from those of the direct legs. An image lies in the same vertical plane as its
@@ -171,24 +199,40 @@ impl Multipath {
         &self.wide
     }
 
-    /// Appends the reflected echoes of the scene's scatterers, after [`Self::widen`]. Returns their number. `array_m`: place of the sonar.
-    pub(crate) fn append(
+    /// Makes the reflected echoes of the scene's scatterers, after [`Self::widen`]. `array_m`: place of the sonar. `direct`: the virtual points of the ping, in
+    /// water that bends sound; the scatterers are still in their own places.
+    pub(crate) fn make(
         &mut self,
         plan: &PingPlan,
         array_m: DVec3,
         ground: Option<&Ground>,
-        scatterers: &mut Scatterers,
-    ) -> u64 {
+        direct: Option<&VirtualPoints>,
+        scatterers: &Scatterers,
+    ) {
         let count = scatterers.of_scene();
         let tasks = count.div_ceil(TOGETHER);
         let mut blocks = std::mem::take(&mut self.blocks);
         if blocks.len() < tasks {
             blocks.resize_with(tasks, Block::default);
         }
+        if let (Some(rays), Some(water)) = (&mut self.rays, &plan.refraction) {
+            let below = scatterers.down_m[..count].iter().copied();
+            let mut deepest_m = below.fold(array_m.z, f64::max);
+            if let Some(altitude_m) = plan.sensor.altitude_m {
+                deepest_m = deepest_m.max(array_m.z + altitude_m);
+            }
+            let db_per_m = plan.absorption_db_per_m;
+            rays.aim(water, db_per_m, self.surface_down_m, deepest_m);
+        }
+        let refracted = match (&self.rays, direct) {
+            (Some(rays), Some(direct)) if plan.refraction.is_some() => Some((rays, direct)),
+            _ => None,
+        };
         let ping = PingGeometry {
             of: self,
             plan,
             array_m,
+            refracted,
             wavenumber_per_m: TAU * plan.pulse.center_frequency_hz / plan.sound_speed_m_per_s,
             ground: ground.filter(|_| self.bottom.is_some()),
             key: [
@@ -196,22 +240,26 @@ impl Multipath {
                 (self.seed >> 32) as u32 ^ plan.ping_number,
             ],
         };
-        let given = &*scatterers;
         blocks[..tasks]
             .par_iter_mut()
             .enumerate()
             .for_each(|(task, block)| {
                 let rows = task * TOGETHER..((task + 1) * TOGETHER).min(count);
-                ping.fill(given, rows, block);
+                ping.fill(scatterers, rows, block);
             });
+        self.blocks = blocks;
+        self.made = tasks;
+    }
+
+    /// Appends the reflected echoes of the last ping. Returns their number.
+    pub(crate) fn append(&self, scatterers: &mut Scatterers) -> u64 {
         let mut appended = 0;
-        for block in &blocks[..tasks] {
+        for block in &self.blocks[..self.made] {
             if !block.images.is_empty() {
                 scatterers.append(&block.images);
                 appended += block.images.len() as u64;
             }
         }
-        self.blocks = blocks;
         appended
     }
 }
@@ -221,6 +269,8 @@ struct PingGeometry<'a> {
     of: &'a Multipath,
     plan: &'a PingPlan,
     array_m: DVec3,
+    /// In water that bends sound: reflected rays, and direct ones.
+    refracted: Option<(&'a ReflectedRays, &'a VirtualPoints)>,
     wavenumber_per_m: f64,
     ground: Option<&'a Ground>,
     key: [u32; 2],
@@ -233,10 +283,10 @@ impl PingGeometry<'_> {
         images.truncate(0);
         for i in rows.clone() {
             let (at_m, normal) = (given.position_m(i), given.normal[i]);
-            let direct = Leg::direct(at_m, normal);
+            let direct = self.direct(at_m, normal);
             let by_surface = self.by_surface(at_m, normal);
             let by_bottom = self.by_bottom(at_m, normal);
-            legs.push([Some(direct), by_surface, by_bottom]);
+            legs.push([direct, by_surface, by_bottom]);
         }
         let pairs = match self.ground {
             None => &PAIRS[..PAIRS_OF_SURFACE],
@@ -262,16 +312,12 @@ impl PingGeometry<'_> {
     ) {
         let both = out.reflection.and(back.reflection);
         let loud = f64::from(given.loud[i]);
+        let strength = given.strength[i] * (out.gain * back.gain);
         let mut add = |out_m: DVec3, back_m: DVec3, rms: f64, factor: Complex64| {
             if !self.is_received(out_m, back_m, rms * loud) {
                 return;
             }
-            images.push(
-                back_m,
-                back.normal,
-                given.strength[i] * factor,
-                given.law[i],
-            );
+            images.push(back_m, back.normal, strength * factor, given.law[i]);
             images.push_transmit(out_m, out.normal);
             if let Some(last) = images.loud.last_mut() {
                 *last = (rms * loud) as f32;
@@ -373,7 +419,28 @@ impl PingGeometry<'_> {
         })
     }
 
-    /// The leg by the surface. None where sonar or scatterer is not below it.
+    /// The leg without reflections. None in a shadow of the water.
+    fn direct(&self, at_m: DVec3, normal: [f32; 3]) -> Option<Leg> {
+        let mut leg = Leg::direct(at_m, normal);
+        if let Some((_, direct)) = &self.refracted {
+            let seen = direct.seen(at_m)?;
+            leg.image_m = seen.position_m;
+            leg.normal = seen.normal(normal);
+            leg.gain = seen.gain.sqrt();
+        }
+        Some(leg)
+    }
+
+    /// A reflection of a refracted leg `length_m` long.
+    fn bend(length_m: f64, bounce: &Bounce, slope2: f64) -> Bend {
+        Bend {
+            along_m: length_m * bounce.time_share,
+            sine: bounce.sine,
+            slope: slope2.sqrt(),
+        }
+    }
+
+    /// The leg by the surface. None where sonar or scatterer is not below it, and in a shadow of the water.
     fn by_surface(&self, at_m: DVec3, normal: [f32; 3]) -> Option<Leg> {
         let surface_m = self.of.surface_down_m;
         let (sonar_m, scatterer_m) = (self.array_m.z - surface_m, at_m.z - surface_m);
@@ -381,12 +448,29 @@ impl PingGeometry<'_> {
             return None;
         }
         let (image_m, normal) = mirrored_at_surface(at_m, normal, surface_m);
+        if let Some((rays, _)) = &self.refracted {
+            let seen = rays.by_surface(at_m)?;
+            let length_m = seen.position_m.distance(self.array_m);
+            let slope2 = self.of.surface.slope2;
+            return Some(Leg {
+                image_m: seen.position_m,
+                normal: seen.normal(normal),
+                reflection: self.at_surface(&seen.bounces[0]),
+                gain: seen.gain,
+                bends: [
+                    Self::bend(length_m, &seen.bounces[0], slope2),
+                    Bend::default(),
+                ],
+                count: 1,
+            });
+        }
         let length_m = image_m.distance(self.array_m);
         let sine = (sonar_m + scatterer_m) / length_m;
         Some(Leg {
             image_m,
             normal,
-            reflection: self.at_surface(sine),
+            reflection: self.at_surface(&self.straight(sine)),
+            gain: 1.0,
             bends: [
                 Bend {
                     along_m: length_m * sonar_m / (sonar_m + scatterer_m),
@@ -415,7 +499,7 @@ impl PingGeometry<'_> {
         let share = sonar_up_m / (sonar_up_m + down_m - above_m.z).max(f64::MIN_POSITIVE);
         let place = self.array_m.lerp(at_m, share.clamp(0.0, 1.0));
         let plane = mean_plane(ground, place, surface_m)?;
-        let up = plane.up;
+        let BottomPlane { up, .. } = plane;
         let side = |p_m: DVec3| (p_m - plane.at_m).dot(up);
         let (sonar_m, source_m) = (side(self.array_m), side(above_m));
         if sonar_m <= 0.0 || source_m <= 0.0 {
@@ -439,11 +523,29 @@ impl PingGeometry<'_> {
         if bounce_m.z <= surface_m || to_surface_m >= length_m {
             return None;
         }
+        if let Some((rays, _)) = &self.refracted {
+            let seen = rays.by_bottom(at_m, &plane, bounce_m)?;
+            let length_m = seen.position_m.distance(self.array_m);
+            let [low, high] = &seen.bounces;
+            let at_bottom = bottom.reflection(self.wavenumber_per_m(low), low.sine);
+            return Some(Leg {
+                image_m: seen.position_m,
+                normal: seen.normal(normal),
+                reflection: at_bottom.and(self.at_surface(high)),
+                gain: seen.gain,
+                bends: [
+                    Self::bend(length_m, low, bottom.slope2),
+                    Self::bend(length_m, high, self.of.surface.slope2),
+                ],
+                count: 2,
+            });
+        }
         let at_bottom = bottom.reflection(self.wavenumber_per_m, bottom_sine);
         Some(Leg {
             image_m,
             normal,
-            reflection: at_bottom.and(self.at_surface(surface_sine)),
+            reflection: at_bottom.and(self.at_surface(&self.straight(surface_sine))),
+            gain: 1.0,
             bends: [
                 Bend {
                     along_m: to_bottom_m,
@@ -460,11 +562,25 @@ impl PingGeometry<'_> {
         })
     }
 
-    fn at_surface(&self, sine: f64) -> Reflection {
+    /// A reflection in water of one sound speed.
+    fn straight(&self, sine: f64) -> Bounce {
+        Bounce {
+            time_share: 0.0,
+            sine,
+            speed_m_per_s: self.plan.sound_speed_m_per_s,
+        }
+    }
+
+    fn wavenumber_per_m(&self, bounce: &Bounce) -> f64 {
+        self.wavenumber_per_m * (self.plan.sound_speed_m_per_s / bounce.speed_m_per_s)
+    }
+
+    fn at_surface(&self, bounce: &Bounce) -> Reflection {
         let carrier_hz = self.plan.pulse.center_frequency_hz;
+        let wavenumber_per_m = self.wavenumber_per_m(bounce);
         self.of
             .surface
-            .reflection(carrier_hz, self.wavenumber_per_m, sine)
+            .reflection(carrier_hz, wavenumber_per_m, bounce.sine)
     }
 }
 
@@ -474,6 +590,7 @@ impl Leg {
             image_m: at_m,
             normal,
             reflection: Reflection::NONE,
+            gain: 1.0,
             bends: [Bend::default(); BENDS],
             count: 0,
         }
@@ -532,15 +649,8 @@ fn mirrored_at_surface(at_m: DVec3, [a, b, c]: [f32; 3], surface_m: f64) -> (DVe
     )
 }
 
-/// A plane that reflects.
-struct Plane {
-    at_m: DVec3,
-    /// Unit normal, away from the bottom.
-    up: DVec3,
-}
-
 /// Mean plane of the bottom around a place. None at a hole or an edge.
-fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<Plane> {
+fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<BottomPlane> {
     let down_m = |north_m: f64, east_m: f64| ground.down_m(place_m.x + north_m, place_m.y + east_m);
     let here_m = down_m(0.0, 0.0)?;
     let half_m = (PATCH * (here_m - surface_m)).max(LEAST_PATCH_M);
@@ -549,7 +659,7 @@ fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<Plane> 
     let mean_m = (here_m + north_m + south_m + east_m + west_m) / 5.0;
     let slope_north = (north_m - south_m) / (2.0 * half_m);
     let slope_east = (east_m - west_m) / (2.0 * half_m);
-    Some(Plane {
+    Some(BottomPlane {
         at_m: DVec3::new(place_m.x, place_m.y, mean_m),
         up: DVec3::new(slope_north, slope_east, -1.0).normalize(),
     })
@@ -567,13 +677,25 @@ impl Rig {
         surface.append(plan, footprints, array_m, scatterers)
     }
 
-    /// Appends the reflected echoes to the scatterers of a ping, if there are any. Returns their number. The footprints of its scene have been widened.
-    pub fn add_images(&mut self, plan: &PingPlan, scatterers: &mut Scatterers) -> u64 {
-        let Some(multipath) = &mut self.multipath else {
-            return 0;
-        };
-        let array_m = self.sonars[plan.sonar].center_m(&plan.trajectory.pose_at(0.0));
-        multipath.append(plan, array_m, self.scene.ground().as_ref(), scatterers)
+    /// Replaces the scatterers of a ping by what the sonar hears of them: virtual points where the water bends sound, and reflected echoes besides. The
+    /// footprints of its scene have been widened.
+    pub fn propagate(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &mut Scatterers,
+        counts: &mut SceneCounts,
+    ) {
+        self.aim(plan, scatterers);
+        if let Some(multipath) = &mut self.multipath {
+            let array_m = self.sonars[plan.sonar].center_m(&plan.trajectory.pose_at(0.0));
+            let ground = self.scene.ground();
+            let direct = self.virtual_points.as_ref();
+            multipath.make(plan, array_m, ground.as_ref(), direct, scatterers);
+        }
+        counts.unreached = self.bend(plan, scatterers);
+        if let Some(multipath) = &self.multipath {
+            counts.images = multipath.append(scatterers);
+        }
     }
 
     /// Footprints for the scatterers of direct and reflected echoes of a ping.

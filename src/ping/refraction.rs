@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use crate::multipath::Multipath;
 use crate::rig::Rig;
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::{PingPlan, Refraction};
@@ -19,6 +20,9 @@ impl Rig {
     pub fn set_profile(&mut self, profile: Arc<SoundSpeedProfile>) {
         let held = self.virtual_points.as_ref();
         if !held.is_some_and(|points| Arc::ptr_eq(points.profile(), &profile)) {
+            if let Some(multipath) = &mut self.multipath {
+                multipath.set_profile(&profile);
+            }
             self.virtual_points = Some(VirtualPoints::new(profile));
         }
     }
@@ -32,6 +36,7 @@ impl Rig {
                 profile: points.profile().clone(),
                 array_m,
                 floor_m: altitude_m.map_or(SoundSpeedProfile::MAX_DEPTH_M, |up_m| array_m.z + up_m),
+                reflections: self.multipath.as_ref().map(Multipath::reflections),
             }
         });
         if let Some(water) = &plan.refraction {
@@ -39,16 +44,23 @@ impl Rig {
         }
     }
 
-    /// Replaces scatterers by the virtual points of a ping, if its water bends sound. Returns the number of scatterers that no ray reaches.
-    pub fn bend(&mut self, plan: &PingPlan, scatterers: &mut Scatterers) -> u64 {
+    /// Tabulates the rays of a ping, if its water bends sound.
+    pub(crate) fn aim(&mut self, plan: &PingPlan, scatterers: &Scatterers) {
         let (Some(water), Some(points)) = (&plan.refraction, &mut self.virtual_points) else {
-            return 0;
+            return;
         };
         let depths_m = scatterers.down_m.iter();
         let deepest_m = depths_m.fold(f64::NEG_INFINITY, |deepest, down| deepest.max(*down));
         let moving = scatterers.moving.iter();
         let deepest_m = moving.fold(deepest_m, |deepest, s| deepest.max(s.position_m.z));
         points.aim(water, plan.absorption_db_per_m, deepest_m);
+    }
+
+    /// Replaces scatterers by the virtual points of a ping, if its water bends sound. Returns the number of scatterers that no ray reaches. After [`Self::aim`].
+    pub(crate) fn bend(&self, plan: &PingPlan, scatterers: &mut Scatterers) -> u64 {
+        let (Some(water), Some(points)) = (&plan.refraction, &self.virtual_points) else {
+            return 0;
+        };
         let c = plan.sound_speed_m_per_s;
         let bend = |s: &mut MovingScatterer| bend_moving(points, (water.array_m, c), s);
         let moving = scatterers.moving.len();

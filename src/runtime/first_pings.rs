@@ -306,8 +306,7 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
             rig.append_volume(&slot.plan, &mut scatterers, &mut scene);
             rig.append_moving(&slot.plan, &mut scatterers, &mut scene);
-            scene.unreached = rig.bend(&slot.plan, &mut scatterers);
-            scene.images = rig.add_images(&slot.plan, &mut scatterers);
+            rig.propagate(&slot.plan, &mut scatterers, &mut scene);
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
             (slot.plan.clone(), scatterers, scene)
         };

@@ -137,10 +137,14 @@ fn scatters(spec: &mut RigSpec) {
 fn a_ping_allocates_nothing_after_warm_up() {
     let _alone = allocations::alone();
     type Change = fn(&mut RigSpec);
-    let changes: [(&str, Change); 5] = [
+    let changes: [(&str, Change); 6] = [
         ("points", |_| {}),
         ("points in a profile", bends),
         ("points and images", reflects),
+        ("points and images in a profile", |spec| {
+            bends(spec);
+            reflects(spec);
+        }),
         ("points in water that scatters", scatters),
         ("imperfect points", |spec| {
             for sonar in &mut spec.sonars {

@@ -9,7 +9,7 @@
 //! [`reference()`](reference::reference) is the slow reference solution. It computes samples itself
 //! and shares only the sonar equation with the other methods.
 //!
-//! [`rays`] bends the sound: it replaces scatterers by the points where the array sees them. [`boundaries`] holds what surface and bottom reflect and scatter. Not modelled: volume reverberation. The scene resolves occlusion
+//! [`rays`] bends the sound: it replaces scatterers by the points where the array sees them. [`reflected_rays`] does so for echoes by surface and bottom. [`boundaries`] holds what surface and bottom reflect and scatter. Not modelled: volume reverberation. The scene resolves occlusion
 //! before the echo model receives the scatterers.
 
 pub mod absorption;
@@ -23,6 +23,7 @@ pub mod paths;
 pub mod probe;
 pub mod rays;
 pub mod reference;
+pub mod reflected_rays;
 pub mod span;
 pub mod stretch;
 pub mod walk;

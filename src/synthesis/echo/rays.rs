@@ -21,22 +21,23 @@ use glam::DVec3;
 use num_complex::Complex64;
 use rayon::prelude::*;
 
+use super::reflected_rays::reflected_point_error_s;
 use echotank_core::ping::Refraction;
 use echotank_core::scene::Scatterers;
 use echotank_core::sound_speed::SoundSpeedProfile;
 
 /// Steps of Newton's method, at most. It converges quadratically, and by doubling first where the ray is almost level.
-const MAX_STEPS: usize = 100;
+pub(super) const MAX_STEPS: usize = 100;
 /// Bisections of the depth of a turn.
 const BISECTIONS: usize = 200;
 /// Relative error of the range at which a ray counts as found.
-const CLOSED: f64 = 1e-15;
+pub(super) const CLOSED: f64 = 1e-15;
 /// Depths closer together than this are equal, metres.
-const SAME_DEPTH_M: f64 = 1e-9;
+pub(super) const SAME_DEPTH_M: f64 = 1e-9;
 /// Smallest sine of the elevation in the divisions of spreading, which is finite where a ray is level.
 const MIN_SINE: f64 = 1e-8;
 /// Largest gain by focusing, as a factor on the pressure of both legs: rays cross at a caustic, where ray theory has no finite level.
-const MAX_FOCUS: f64 = 10.0;
+pub(super) const MAX_FOCUS: f64 = 10.0;
 
 /// Direction of a ray in the vertical plane that holds it, unit vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,13 +66,13 @@ pub struct Ray {
 
 /// Sums over the layers of a ray of parameter p.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sums {
+pub(super) struct Sums {
     /// Range divided by p, which is finite for a vertical ray.
-    range_per_p: f64,
+    pub(super) range_per_p: f64,
     /// Derivative of the range with respect to p.
-    range_by_p: f64,
-    time_s: f64,
-    length_m: f64,
+    pub(super) range_by_p: f64,
+    pub(super) time_s: f64,
+    pub(super) length_m: f64,
 }
 
 /// asinh(x) / x.
@@ -99,7 +100,7 @@ fn asin_share(x: f64) -> f64 {
 impl Sums {
     /// Adds a layer `thick_m` thick with speeds and sines `(c, s)` at its ends.
     #[inline(always)]
-    fn add(
+    pub(super) fn add(
         &mut self,
         p: f64,
         (thick_m, gradient_per_s): (f64, f64),
@@ -209,7 +210,7 @@ impl Found {
 }
 
 /// Pressure of a ray tube: p c1 c2 / (r |dr/dp| s1 s2), the root of it (Jensen et al. 2011, Computational Ocean Acoustics, eq. 3.65, in terms of p).
-fn spreading_per_m(sums: &Sums, (c1, s1): (f64, f64), (c2, s2): (f64, f64)) -> f64 {
+pub(super) fn spreading_per_m(sums: &Sums, (c1, s1): (f64, f64), (c2, s2): (f64, f64)) -> f64 {
     let tube = sums.range_per_p * sums.range_by_p.abs() * s1.max(MIN_SINE) * s2.max(MIN_SINE);
     (c1 * c2 / tube.max(f64::MIN_POSITIVE)).sqrt()
 }
@@ -468,29 +469,35 @@ impl Seen {
 }
 
 /// Number of tabulated rays. With this number the interpolation is off by less than 1e-11 s at 100 m.
-const RAYS: usize = 96;
+pub(super) const RAYS: usize = 96;
 /// Sine of the elevation below which a ray is not tabulated, at any depth. A scatterer there gets a ray of its own.
-const MIN_TABLE_SINE: f64 = 0.02;
+pub(super) const MIN_TABLE_SINE: f64 = 0.02;
 /// Rows of scatterers of one task.
 const ROWS: usize = 1024;
 
 /// A tabulated ray at a knot.
 #[derive(Clone, Copy, Debug, Default)]
-struct Node {
-    sums: Sums,
+pub(super) struct Node {
+    pub(super) sums: Sums,
     /// Sine of the elevation.
-    sine: f64,
+    pub(super) sine: f64,
 }
 
 /// Depth of the array, or of a point of the profile below it.
 #[derive(Clone, Copy, Debug)]
-struct Knot {
-    depth_m: f64,
-    c: f64,
+pub(super) struct Knot {
+    pub(super) depth_m: f64,
+    pub(super) c: f64,
     /// Of the layer below.
-    gradient_per_s: f64,
+    pub(super) gradient_per_s: f64,
     /// Number of the rays, the steepest first, that reach this depth at an elevation that is tabulated.
-    rays: usize,
+    pub(super) rays: usize,
+}
+
+/// Tangents of the tabulated rays at the array, from straight down.
+pub(super) fn table_tangents() -> [f64; RAYS] {
+    let last = libm::acosh(1.0 / MIN_TABLE_SINE);
+    std::array::from_fn(|j| libm::sinh(last * j as f64 / (RAYS - 1) as f64))
 }
 
 /// The rays of one array, and the virtual points of scatterers along them.
@@ -517,19 +524,18 @@ pub struct VirtualPoints {
 impl VirtualPoints {
     /// Allocates the table for `profile`.
     pub fn new(profile: Arc<SoundSpeedProfile>) -> Self {
-        let last = libm::acosh(1.0 / MIN_TABLE_SINE);
-        let tangent = |j: usize| libm::sinh(last * j as f64 / (RAYS - 1) as f64);
         let knots = profile.points().len() + 1;
         Self {
             water: Refraction {
                 profile,
                 array_m: DVec3::ZERO,
                 floor_m: 0.0,
+                reflections: None,
             },
             c0: f64::NAN,
             nepers_per_m: 0.0,
             deepest_m: f64::NEG_INFINITY,
-            tangents: std::array::from_fn(tangent),
+            tangents: table_tangents(),
             p: [0.0; RAYS],
             knots: Vec::with_capacity(knots),
             nodes: Vec::with_capacity(knots * RAYS),
@@ -637,19 +643,7 @@ impl VirtualPoints {
             (p, sums, spread)
         };
         let ((p0, a, spread0), (p1, b, spread1)) = (at(j), at(j + 1));
-        let (r0, r1) = (p0 * a.range_per_p, p1 * b.range_per_p);
-        let h = r1 - r0;
-        let x = (range_m - r0) / h;
-        if !(0.0..=1.0).contains(&x) {
-            return None;
-        }
-        let ends = [
-            (a.time_s, b.time_s),
-            (h * p0, h * p1),
-            (h * h / a.range_by_p, h * h / b.range_by_p),
-        ];
-        let (time_s, slope) = quintic(ends, x);
-        let p = slope / h;
+        let (x, time_s, p) = between_rays((p0, &a), (p1, &b), range_m)?;
         let between = |a: f64, b: f64| a + (b - a) * x;
         let excess = |sums: &Sums| sums.length_m - self.c0 * sums.time_s;
         let towards = |c: f64| Elevation {
@@ -726,20 +720,53 @@ pub fn virtual_point_error(
             return None;
         }
         let sums = path.between(p, sine);
-        let s = sine(c0);
-        let virtual_s = 1.0 / (c0 * c0 * sums.time_s);
-        let along = (1.0 / sums.range_by_p - s * s * virtual_s).abs();
-        let across = (1.0 / sums.range_per_p - virtual_s).abs();
-        // Tangent of the ray, from the vertical.
-        let slope = p * c0 / s;
-        let vertical = slope * slope * along + gradient_per_s / (c0 * c0 * s);
-        Some(
-            level_m * level_m * along.max(across)
-                + 2.0 * level_m * vertical_m * slope * along
-                + vertical_m * vertical_m * vertical,
-        )
+        let offsets_m = (level_m, vertical_m);
+        Some(curvature_error_s((c0, p), &sums, gradient_per_s, offsets_m))
     });
-    std::f64::consts::PI * frequency_hz * errors_s.fold(0.0, f64::max)
+    let direct_s = errors_s.fold(0.0, f64::max);
+    let reflected_s = reflected_point_error_s(water, (level_m, vertical_m), depth_m);
+    std::f64::consts::PI * frequency_hz * direct_s.max(reflected_s)
+}
+
+/// Twice the error of the delay of one ray at an offset from the array, seconds.
+pub(super) fn curvature_error_s(
+    (c0, p): (f64, f64),
+    sums: &Sums,
+    gradient_per_s: f64,
+    (level_m, vertical_m): (f64, f64),
+) -> f64 {
+    let s = (1.0 - (p * c0) * (p * c0)).max(0.0).sqrt();
+    let virtual_s = 1.0 / (c0 * c0 * sums.time_s);
+    let along = (1.0 / sums.range_by_p - s * s * virtual_s).abs();
+    let across = (1.0 / sums.range_per_p - virtual_s).abs();
+    // Tangent of the ray, from the vertical.
+    let slope = p * c0 / s;
+    let vertical = slope * slope * along + gradient_per_s / (c0 * c0 * s);
+    level_m * level_m * along.max(across)
+        + 2.0 * level_m * vertical_m * slope * along
+        + vertical_m * vertical_m * vertical
+}
+
+/// The ray of a range between two tabulated ones: its share of the way from the first to the second, travel time and parameter.
+#[inline(always)]
+pub(super) fn between_rays(
+    (p0, a): (f64, &Sums),
+    (p1, b): (f64, &Sums),
+    range_m: f64,
+) -> Option<(f64, f64, f64)> {
+    let (r0, r1) = (p0 * a.range_per_p, p1 * b.range_per_p);
+    let h = r1 - r0;
+    let x = (range_m - r0) / h;
+    if !(0.0..=1.0).contains(&x) {
+        return None;
+    }
+    let ends = [
+        (a.time_s, b.time_s),
+        (h * p0, h * p1),
+        (h * h / a.range_by_p, h * h / b.range_by_p),
+    ];
+    let (time_s, slope) = quintic(ends, x);
+    Some((x, time_s, slope / h))
 }
 
 /// The polynomial of degree five with value, slope and curvature `(at 0, at 1)`: its value and slope at `x`.

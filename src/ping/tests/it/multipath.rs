@@ -190,6 +190,147 @@ fn echoes_of_a_point_come_at_the_times_and_levels_of_its_images() {
     });
 }
 
+/// A leg through water of one gradient: spans of depths, each passed without a turn, by sums over thin layers.
+struct LayeredLeg {
+    time_s: f64,
+    /// Pressure of the ray tube.
+    spreading_per_m: f64,
+    /// Sine of the elevation at the bottom.
+    bottom_sine: f64,
+}
+
+impl LayeredLeg {
+    fn new(
+        speed: impl Fn(f64) -> f64,
+        spans: &[(f64, f64)],
+        ends: (f64, f64),
+        range_m: f64,
+        bottom_m: f64,
+    ) -> Self {
+        const LAYERS: usize = 4000;
+        let sums = |p: f64| {
+            let [mut range_m, mut time_s, mut per_p, mut by_p] = [0.0; 4];
+            for &(upper_m, lower_m) in spans {
+                let dz = (lower_m - upper_m) / LAYERS as f64;
+                for k in 0..LAYERS {
+                    let c = speed(upper_m + (k as f64 + 0.5) * dz);
+                    let s = (1.0 - (p * c).powi(2)).sqrt();
+                    range_m += p * c / s * dz;
+                    time_s += dz / (c * s);
+                    per_p += c / s * dz;
+                    by_p += c / s.powi(3) * dz;
+                }
+            }
+            [range_m, time_s, per_p, by_p]
+        };
+        let (mut low, mut high) = (0.0, 0.9 / 1500.0);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            match sums(middle)[0] < range_m {
+                true => low = middle,
+                false => high = middle,
+            }
+        }
+        let p = if range_m == 0.0 {
+            0.0
+        } else {
+            0.5 * (low + high)
+        };
+        let [_, time_s, per_p, by_p] = sums(p);
+        let sine = |z: f64| (1.0 - (p * speed(z)).powi(2)).sqrt();
+        let (c1, c2) = (speed(ends.0), speed(ends.1));
+        let tube = per_p * by_p * sine(ends.0) * sine(ends.1);
+        Self {
+            time_s,
+            spreading_per_m: (c1 * c2 / tube).sqrt(),
+            bottom_sine: sine(bottom_m),
+        }
+    }
+}
+
+/// Two points on a bottom, below the sonar and beside it, in water whose sound speed falls with depth: echoes by the surface, and second bottom echoes, come
+/// within a sample of their rays and with the levels of their tubes. Straight images would be more than ten samples early.
+#[test]
+fn reflected_echoes_through_a_gradient_come_with_the_times_and_levels_of_their_rays() {
+    const BOTTOM_M: f64 = 20.0;
+    const GRADIENT: f64 = -1.0;
+    let speed = |z: f64| 1500.0 + GRADIENT * z;
+    let folder = tempfile::tempdir().expect("a folder");
+    let points = folder.path().join("points.csv");
+    let text = format!("north_m,east_m,down_m,amplitude\n0,0,{BOTTOM_M},1\n10,0,{BOTTOM_M},1\n");
+    std::fs::write(&points, text).expect("points");
+    let scene = format!(
+        "[scene]\nocclusion = \"none\"\npoints = \"{}\"\n[scene.seabed]\nshape = \"plane\"\ndepth_m = {BOTTOM_M}\nlambert_db = -100.0\ndensity_per_m2 = 0.01",
+        points.display()
+    );
+    let medium = format!(
+        "profile = {{ points = [[0.0, {}], [40.0, {}]] }}\n[medium.multipath]\nbottom_density_ratio = 2.0\nbottom_speed_ratio = 1.2\nbottom_roughness_m = 0.0",
+        speed(0.0),
+        speed(40.0)
+    );
+    let setup = Setup {
+        khz: 50.0,
+        range_m: 62.0,
+        medium: &medium,
+        scene: &scene,
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    let leg = |spans: &[(f64, f64)], range_m: f64| {
+        LayeredLeg::new(speed, spans, (SONAR_M, BOTTOM_M), range_m, BOTTOM_M)
+    };
+    pool(2).expect("threads").install(|| {
+        pings(&spec, 1, |_, slot, _| {
+            assert!(slot.output.scene.images > 0);
+            let samples = slot.output.elements[0].element(0);
+            let source = 10f64.powf(200.0 / 20.0);
+            let gain = 10f64.powf(spec.sonars[0].receive[0].sensitivity_db / 20.0);
+            for range_m in [0.0, 10.0] {
+                let direct = leg(&[(SONAR_M, BOTTOM_M)], range_m);
+                let surface = leg(&[(0.0, SONAR_M), (0.0, BOTTOM_M)], range_m);
+                let spans = [(SONAR_M, BOTTOM_M), (0.0, BOTTOM_M), (0.0, BOTTOM_M)];
+                let second = leg(&spans, range_m);
+                let s = second.bottom_sine;
+                let inside = (1.0 / (1.2f64 * 1.2) - (1.0 - s * s)).sqrt();
+                let bottom = (2.0 * s - inside) / (2.0 * s + inside);
+                for (name, out, back, coefficient, straight_m) in [
+                    ("D S", &direct, &surface, 1.0, 2.0 * BOTTOM_M),
+                    (
+                        "D SB",
+                        &direct,
+                        &second,
+                        bottom,
+                        4.0 * BOTTOM_M - 2.0 * SONAR_M,
+                    ),
+                ] {
+                    let delay_s = out.time_s + back.time_s;
+                    let spreading = out.spreading_per_m * back.spreading_per_m;
+                    // A pair and its reverse add up.
+                    let want = 2.0 * source * gain * coefficient * spreading;
+                    let first = (delay_s - slot.plan.first_sample_s) * RATE_HZ;
+                    let k = first.ceil() as usize;
+                    let inside = &samples[k + 1..k + 6];
+                    let level = inside.iter().map(|x| x.norm()).sum::<f64>() / inside.len() as f64;
+                    let off_db = 20.0 * (level / want).log10();
+                    println!("{range_m} m, {name}: {off_db:+.3} dB at {delay_s:.6} s");
+                    assert!(off_db.abs() < 0.1, "{range_m} m, {name}: {off_db} dB");
+                    assert!(samples[k - 2].norm() < 0.02 * want, "{name} begins early");
+                    if range_m == 0.0 {
+                        let straight_s = straight_m / speed(SONAR_M);
+                        let early = (delay_s - straight_s) * RATE_HZ;
+                        assert!(
+                            early > if name == "D S" { 5.0 } else { 10.0 },
+                            "{early} samples"
+                        );
+                    }
+                }
+            }
+        });
+    });
+}
+
 /// Sums of echoes in range cells of half the path.
 struct Cells {
     first_m: f64,

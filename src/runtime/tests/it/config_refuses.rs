@@ -110,10 +110,6 @@ fn a_bad_surface_is_refused_with_value_and_rule() {
     let minimal = fs::read_to_string(broken_dir().join("../minimal.toml")).expect("readable");
     for (medium, words) in [
         (
-            "profile = { points = [[0, 1500], [9, 1490]] }\nmultipath = {}",
-            "medium.multipath: not with [medium.profile]: reflected echoes need water of one sound speed",
-        ),
-        (
             "multipath = { legs = \"bottom\" }",
             "medium.multipath.legs = \"bottom\": must be \"surface\" or \"surface-bottom\"",
         ),

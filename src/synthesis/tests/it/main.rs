@@ -9,6 +9,7 @@ mod paths;
 mod probe;
 mod rays;
 mod receiver;
+mod reflected_rays;
 mod span;
 mod synthesis;
 mod walk;

@@ -41,6 +41,7 @@ fn water(profile: &Arc<SoundSpeedProfile>, array_m: DVec3) -> Refraction {
         profile: profile.clone(),
         array_m,
         floor_m: SoundSpeedProfile::MAX_DEPTH_M,
+        reflections: None,
     }
 }
 
