@@ -12,6 +12,7 @@ pub mod error_check;
 pub mod fan_truth;
 pub mod faults;
 pub mod footprints;
+mod image_thinning;
 pub(crate) mod line_engines;
 pub mod line_truth;
 pub mod make_ping;

@@ -32,9 +32,10 @@ use rayon::prelude::*;
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 use std::sync::Arc;
 
+use crate::image_thinning::{Echo, ImageThinning, is_single};
 use crate::rig::Rig;
 use crate::sea_surface::sea_surface;
-use echotank_config::spec::RigSpec;
+use echotank_config::spec::{Density, RigSpec};
 use echotank_core::ping::{PingPlan, Reflections, SceneCounts};
 use echotank_core::scene::{BaffledFace, Footprint, PatternSide, Scatterers};
 use echotank_core::sound_speed::SoundSpeedProfile;
@@ -60,19 +61,10 @@ const LEAST_PATCH_M: f64 = 0.5;
 /// Deviations of the direction for which scatterers are gathered.
 const DEVIATIONS: f64 = 2.0;
 
-/// Pairs of a transmit and a receive leg by their numbers, the direct one left out.
-const PAIRS: [(usize, usize); 8] = [
-    (0, 1),
-    (1, 0),
-    (1, 1),
-    (0, 2),
-    (2, 0),
-    (1, 2),
-    (2, 1),
-    (2, 2),
-];
+/// Pairs of legs by their numbers, the direct one left out. A pair of different legs stands for both orders.
+const PAIRS: [(usize, usize); 5] = [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
 /// Of which these are without the bottom.
-const PAIRS_OF_SURFACE: usize = 3;
+const PAIRS_OF_SURFACE: usize = 2;
 
 /// Makes the reflected echoes of pings.
 pub(crate) struct Multipath {
@@ -82,6 +74,8 @@ pub(crate) struct Multipath {
     bottom: Option<FluidBottom>,
     /// In water that bends sound.
     rays: Option<ReflectedRays>,
+    /// Where the seabed is thinned too.
+    thinning: Option<ImageThinning>,
     seed: u64,
     /// Those of the direct legs, and those that hold every scatterer with a reflected echo.
     areas: Vec<Footprint>,
@@ -138,6 +132,9 @@ impl Multipath {
                 slope2: slope * slope,
             }),
             rays: spec.medium.profile.clone().map(ReflectedRays::new),
+            thinning: seabed
+                .is_some_and(|seabed| matches!(seabed.density, Density::Auto { .. }))
+                .then(ImageThinning::default),
             seed: spec.scene.seed,
             areas: Vec::new(),
             wide: Vec::new(),
@@ -224,6 +221,9 @@ impl Multipath {
             let db_per_m = plan.absorption_db_per_m;
             rays.aim(water, db_per_m, self.surface_down_m, deepest_m);
         }
+        if let Some(thinning) = &mut self.thinning {
+            thinning.look(&self.areas, &[(scatterers, count, None)]);
+        }
         let refracted = match (&self.rays, direct) {
             (Some(rays), Some(direct)) if plan.refraction.is_some() => Some((rays, direct)),
             _ => None,
@@ -292,50 +292,79 @@ impl PingGeometry<'_> {
             None => &PAIRS[..PAIRS_OF_SURFACE],
             Some(_) => &PAIRS[..],
         };
-        for &(transmit, receive) in pairs {
+        for &(low, high) in pairs {
             for (i, legs) in rows.clone().zip(&*legs) {
-                if let (Some(out), Some(back)) = (&legs[transmit], &legs[receive]) {
-                    self.pair(given, i, (transmit, receive), (out, back), images);
+                if let (Some(a), Some(b)) = (&legs[low], &legs[high]) {
+                    self.pair(given, i, (low, high), (a, b), images);
                 }
             }
         }
     }
 
-    /// Appends the echoes of one pair of legs.
+    /// Appends the echoes of one pair of legs, in both orders.
     fn pair(
         &self,
         given: &Scatterers,
         i: usize,
-        (transmit, receive): (usize, usize),
-        (out, back): (&Leg, &Leg),
+        (low, high): (usize, usize),
+        (a, b): (&Leg, &Leg),
         images: &mut Scatterers,
     ) {
-        let both = out.reflection.and(back.reflection);
+        let both = a.reflection.and(b.reflection);
         let loud = f64::from(given.loud[i]);
-        let strength = given.strength[i] * (out.gain * back.gain);
-        let mut add = |out_m: DVec3, back_m: DVec3, rms: f64, factor: Complex64| {
-            if !self.is_received(out_m, back_m, rms * loud) {
+        let strength = given.strength[i] * (a.gain * b.gain);
+        let mut add = |(a_m, b_m): (DVec3, DVec3), rms: f64, factor: Complex64, chance: f64| {
+            let orders = [((a_m, a), (b_m, b)), ((b_m, b), (a_m, a))];
+            let orders = &orders[..1 + usize::from(low != high)];
+            let received =
+                [0, 1].map(|k| matches!(orders.get(k), Some(((out_m, _), (back_m, _))) if self.is_received(*out_m, *back_m, rms * loud)));
+            if received == [false; 2] {
                 return;
             }
-            images.push(back_m, back.normal, strength * factor, given.law[i]);
-            images.push_transmit(out_m, out.normal);
-            if let Some(last) = images.loud.last_mut() {
-                *last = (rms * loud) as f32;
+            let mut factor = factor;
+            if let Some(thinning) = &self.of.thinning
+                && chance < 1.0
+                && !is_single(given, i)
+            {
+                let share = |((out_m, out), (back_m, back)): &((DVec3, &Leg), (DVec3, &Leg))| {
+                    let echo = Echo {
+                        at_m: [*out_m, *back_m],
+                        normals: [out.normal, back.normal],
+                        strength: strength.norm() * rms,
+                        law: given.law[i],
+                    };
+                    thinning.share(&self.of.areas, &echo, given.curve.as_deref())
+                };
+                let share = orders.iter().map(share).fold(0.0, f64::max);
+                if chance >= share {
+                    return;
+                }
+                factor /= share.sqrt();
+            }
+            for (((out_m, out), (back_m, back)), received) in orders.iter().zip(received) {
+                if !received {
+                    continue;
+                }
+                images.push(*back_m, back.normal, strength * factor, given.law[i]);
+                images.push_transmit(*out_m, out.normal);
+                if let Some(last) = images.loud.last_mut() {
+                    *last = (rms * loud) as f32;
+                }
             }
         };
         let coherent = both.coherent.norm_sqr();
         if coherent > LEAST_SHARE * both.power {
-            add(out.image_m, back.image_m, coherent.sqrt(), both.coherent);
+            let images_m = (a.image_m, b.image_m);
+            add(images_m, coherent.sqrt(), both.coherent, 1.0);
         }
         let incoherent = both.incoherent();
         if incoherent <= LEAST_SHARE * both.power {
             return;
         }
         let rms = incoherent.sqrt();
-        if self.is_left_out(out.image_m, back.image_m, rms * loud) {
+        if self.is_left_out(a.image_m, b.image_m, rms * loud) {
             return;
         }
-        let (low, high) = (transmit.min(receive), transmit.max(receive));
         let pair = (LEGS * low + high) as u32;
         let draw = |part: u32| {
             philox(
@@ -347,14 +376,10 @@ impl PingGeometry<'_> {
             let z = circular_gaussian(a, b);
             Complex64::new(z.re.into(), z.im.into())
         };
-        let [a, b, of_low, of_high] = draw(0);
-        let factor = gaussian(a, b) * rms;
+        let [x, y, of_low, of_high] = draw(0);
+        let factor = gaussian(x, y) * rms;
         // A path of both parts bends where its part is incoherent.
-        let displaced = |number: usize, leg: &Leg| {
-            let (part, chance) = match number == low {
-                true => (1, of_low),
-                false => (2, of_high),
-            };
+        let displaced = |leg: &Leg, part: u32, chance: u32| {
             let share = leg.reflection.incoherent() / leg.reflection.power.max(f64::MIN_POSITIVE);
             if leg.count == 0 || fraction(chance) >= share {
                 return leg.image_m;
@@ -365,24 +390,13 @@ impl PingGeometry<'_> {
                 [0, 2].map(|k| gaussian(words[k], words[k + 1])),
             )
         };
-        let out_m = displaced(transmit, out);
-        let back_m = match transmit == receive {
-            // Two paths by the same boundary.
-            true => {
-                let share =
-                    back.reflection.incoherent() / back.reflection.power.max(f64::MIN_POSITIVE);
-                let words = draw(2);
-                match fraction(of_high) < share {
-                    true => back.bent(
-                        self.array_m,
-                        [0, 2].map(|k| gaussian(words[k], words[k + 1])),
-                    ),
-                    false => back.image_m,
-                }
-            }
-            false => displaced(receive, back),
+        // Two paths by the same boundary differ.
+        let places_m = (displaced(a, 1, of_low), displaced(b, 2, of_high));
+        let chance = match &self.of.thinning {
+            Some(_) => fraction(draw(3)[0]),
+            None => 1.0,
         };
-        add(out_m, back_m, rms, factor);
+        add(places_m, rms, factor, chance);
     }
 
     /// Whether an echo arrives after the window of every array, or is below the floor whatever its directions.

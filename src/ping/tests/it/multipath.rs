@@ -724,6 +724,100 @@ fn a_narrow_beam_behind_its_floor_hears_the_whole_second_echo() {
     }
 }
 
+/// Over a seabed of automatic density, images are thinned: fewer of them make a second echo of the same level and statistics. Against a dense
+/// seabed whose images are all kept.
+#[test]
+fn thinned_images_keep_level_and_statistics() {
+    const BOTTOM_M: f64 = 8.0;
+    const PINGS: u32 = 320;
+    // The range resolution of the pulse, for which the density is.
+    const CELL_M: f64 = 0.3;
+    let folder = tempfile::tempdir().expect("a folder");
+    let echoes = |density: &str| {
+        let setup = Setup {
+            khz: 200.0,
+            range_m: 18.0,
+            medium: "wind_m_per_s = 0.0\n[medium.surface]\nroughness_m = 0.05\nslope_deg = 3.0\n[medium.multipath]\nbottom_slope_deg = 2.0",
+            scene: &plane(BOTTOM_M, density),
+            model: DIRECT,
+            patterns: [
+                "pattern = \"rectangle\"\nlength_m = 0.19\nwidth_m = 0.004",
+                "element_pattern = \"rectangle\"\nelement_length_m = 0.19\nelement_width_m = 0.004",
+            ],
+            speed: 3.0,
+        };
+        let spec = rig(folder.path(), &setup);
+        let mut sums = Cells {
+            first_m: 0.5 * (4.0 * BOTTOM_M - 2.0 * SONAR_M),
+            cell_m: CELL_M,
+            carrier_hz: 200e3,
+            sums: vec![Complex64::ZERO; 10],
+        };
+        let (mut intensities, mut images, mut direct) = (Vec::new(), 0, 0);
+        pool(2).expect("threads").install(|| {
+            let mut recorded = RecordedRig::open(&spec).expect("opens");
+            let mut slot = recorded.rig.slot(0);
+            for _ in 0..PINGS {
+                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
+                assert!(recorded.settle(sonar, &order));
+                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
+                gather(&mut recorded.rig, sonar, &mut slot);
+                let all = recorded.rig.scatterers();
+                let second = only(all, |out_m, back_m| {
+                    (out_m - BOTTOM_M).abs() < 1e-6 && back_m > 2.0 * BOTTOM_M
+                });
+                images += second.len();
+                direct += all.of_scene();
+                intensities.push(sums.of(&spec, &slot.plan, &second));
+            }
+        });
+        (intensities, images as f64 / direct as f64)
+    };
+    let (want, all) = echoes("density_per_m2 = 60.0");
+    let (got, some) = echoes("density = \"auto\"");
+    let mean_of = |pings: &[Vec<f64>], cell: usize| {
+        pings.iter().map(|cells| cells[cell]).sum::<f64>() / pings.len() as f64
+    };
+    let cells = 0..want[0].len();
+    let total = |pings: &[Vec<f64>]| cells.clone().map(|k| mean_of(pings, k)).sum::<f64>();
+    let off_db = 10.0 * (total(&got) / total(&want)).log10();
+    let relative = |pings: &[Vec<f64>]| -> Vec<f64> {
+        let of = |k: usize| {
+            let mean = mean_of(pings, k);
+            pings.iter().map(move |cells| cells[k] / mean)
+        };
+        cells.clone().flat_map(of).collect()
+    };
+    let kurtosis = |values: &[f64]| {
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        values.iter().map(|x| x * x).sum::<f64>() / n / (mean * mean)
+    };
+    let (own, dense) = (relative(&got), relative(&want));
+    let (of_own, of_dense) = (kurtosis(&own), kurtosis(&dense));
+    let sorted = [own, dense].map(|mut values| {
+        values.sort_by(f64::total_cmp);
+        values
+    });
+    // Against those of the whole second echo, in decibels.
+    let quantiles = [0.25, 0.5, 0.9, 0.97].map(|q: f64| {
+        let [own, dense] = [0, 1].map(|k| sorted[k][(q * sorted[k].len() as f64) as usize]);
+        10.0 * (own / dense).log10()
+    });
+    println!(
+        "{off_db:+.2} dB, quantiles {quantiles:+.2?} dB, kurtosis {of_own:.2} of {of_dense:.2}; {some:.2} images a scatterer of {all:.2}"
+    );
+    assert!(some < 0.85 * all, "{some} {all}");
+    assert!(off_db.abs() < 0.5, "{off_db} dB");
+    assert!(
+        quantiles.iter().all(|off| off.abs() < 0.5),
+        "{quantiles:?} dB"
+    );
+    // What the automatic density allows in a shadow.
+    assert!(of_own < 2.6, "{of_own}");
+}
+
 /// Over a sloping bottom the distance of an image is the length of the shortest path by bottom and surface (Fermat), found by moving both points of
 /// reflection in turns.
 #[test]
