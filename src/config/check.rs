@@ -424,6 +424,7 @@ fn surface(table: &keys::Surface, wind_m_per_s: f64) -> Option<SurfaceSpec> {
         true => Some(SurfaceScatteringSpec {
             density: Density::PerM2(1.0),
             correlation_time_s: table.correlation_time_ms.get()?,
+            waves: table.waves.get()?,
         }),
         false => None,
     };

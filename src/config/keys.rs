@@ -232,6 +232,10 @@ table! {
     /// The surface itself scatters, by the wind (APL-UW TR 9407).
     scattering: Bool, Default("false");
 
+    /// The scatterers of the surface move with the orbital velocity of a sea by the wind, which spreads the Doppler of their echoes. Only with
+    /// scattering = true.
+    waves: Bool, Default("false"), only with scattering = true;
+
     /// Time in which the scattering of the surface changes. Only with scattering = true.
     correlation_time_ms: Ms(above(0.0, 1.0e6)), Default("100.0"), only with scattering = true;
 }

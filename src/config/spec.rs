@@ -107,6 +107,8 @@ pub struct SurfaceScatteringSpec {
     pub density: Density,
     /// Time in which it changes, seconds.
     pub correlation_time_s: f64,
+    /// Whether it moves with the waves.
+    pub waves: bool,
 }
 
 /// Echoes by way of the surface and the bottom. Ratios and roughness of the bottom that are not given follow from its sediment.

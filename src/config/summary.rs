@@ -48,8 +48,11 @@ fn boundaries(medium: &MediumSpec) -> Option<String> {
         format!("echoes by the surface{second}")
     });
     let surface = medium.surface.as_ref();
-    let scattering = surface.filter(|surface| surface.scattering.is_some());
-    let scattering = scattering.map(|_| "the surface scatters".to_owned());
+    let scattering = surface.and_then(|surface| surface.scattering.as_ref());
+    let scattering = scattering.map(|scattering| match scattering.waves {
+        true => "the surface scatters and moves".to_owned(),
+        false => "the surface scatters".to_owned(),
+    });
     let wind = surface.map(|surface| format!("wind {} m/s", surface.wind_m_per_s));
     let words: Vec<_> = [wind, scattering, echoes].into_iter().flatten().collect();
     (!words.is_empty()).then(|| words.join(", "))

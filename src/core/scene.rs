@@ -127,8 +127,13 @@ pub struct MovingScatterer {
     pub strength: Complex64,
     /// Directional law; not [`ScatterLaw::Curve`].
     pub law: ScatterLaw,
-    /// Index of its target.
+    /// Index of its target; [`Self::OF_SURFACE`] for one of the sea surface.
     pub target: u32,
+}
+
+impl MovingScatterer {
+    /// In place of the index of a target.
+    pub const OF_SURFACE: u32 = u32::MAX;
 }
 
 impl Scatterers {

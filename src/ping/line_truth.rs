@@ -17,7 +17,7 @@ use echotank_config::spec::{LineSpec, SonarSpec};
 use echotank_core::arrays::{ArrayGeometry, Mounting};
 use echotank_core::frames::Pose;
 use echotank_core::ping::{GroundSeen, LineTruth, PingPlan, Side};
-use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::scene::{MovingScatterer, ScatterLaw, Scatterers};
 use echotank_imaging::beam::conventional::line_array_response;
 use echotank_synthesis::echo::levels::Directivity;
 
@@ -112,7 +112,10 @@ pub(super) fn labelled_scatterers<'a>(
             let hit_s = moving.position_m.distance(from_m) / plan.sound_speed_m_per_s;
             let at_m = moving.position_m + moving.velocity_m_per_s * hit_s;
             all.push(at_m, moving.normal, moving.strength, moving.law);
-            labels.push(u16::try_from(moving.target + 1).unwrap_or(u16::MAX));
+            labels.push(match moving.target {
+                MovingScatterer::OF_SURFACE => 0,
+                target => u16::try_from(target + 1).unwrap_or(u16::MAX),
+            });
         }
     }
     (scatterers, labels)

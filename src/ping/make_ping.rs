@@ -137,9 +137,9 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
         rig.simplify_counts = stage.thin(&mut rig.scatterers, seabed, view);
     }
     let mut scatterers = std::mem::take(&mut rig.scatterers);
+    rig.append_moving(&slot.plan, &mut scatterers, &mut slot.output.scene);
     slot.output.scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
     rig.append_volume(&slot.plan, &mut scatterers, &mut slot.output.scene);
-    rig.append_moving(&slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.propagate(&slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.scatterers = scatterers;
     let unit = &mut rig.sonars[sonar];

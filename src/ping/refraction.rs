@@ -88,6 +88,9 @@ fn bend_moving(
     scatterer: &mut MovingScatterer,
 ) -> bool {
     let velocity = scatterer.velocity_m_per_s;
+    if scatterer.target == MovingScatterer::OF_SURFACE {
+        return bend_surface(points, (array_m, c), scatterer);
+    }
     let mut hit_s = 0.0;
     for _ in 0..3 {
         let at_m = scatterer.position_m + velocity * hit_s;
@@ -104,6 +107,30 @@ fn bend_moving(
         return false;
     };
     scatterer.velocity_m_per_s = (after.position_m - before.position_m) / (2.0 * step_s);
+    scatterer.position_m = seen.position_m - scatterer.velocity_m_per_s * hit_s;
+    scatterer.normal = seen.normal(scatterer.normal);
+    scatterer.strength *= seen.gain;
+    true
+}
+
+/// As [`bend_moving`], of one that moves by far less than a wave is long while the sound is on its way: it has one ray, and the velocity that gives the same
+/// Doppler along it.
+fn bend_surface(
+    points: &VirtualPoints,
+    (array_m, c): (DVec3, f64),
+    scatterer: &mut MovingScatterer,
+) -> bool {
+    let velocity = scatterer.velocity_m_per_s;
+    let hit_s = scatterer.position_m.distance(array_m) / c;
+    let at_m = scatterer.position_m + velocity * hit_s;
+    let Some(seen) = points.seen(at_m) else {
+        return false;
+    };
+    // Along the ray, u . v / c is the same at both ends.
+    let turned = seen.normal(velocity.as_vec3().to_array());
+    let there = points.profile().at_m_per_s(at_m.z);
+    scatterer.velocity_m_per_s = DVec3::from_array(turned.map(f64::from)) * (c / there);
+    let hit_s = seen.position_m.distance(array_m) / c;
     scatterer.position_m = seen.position_m - scatterer.velocity_m_per_s * hit_s;
     scatterer.normal = seen.normal(scatterer.normal);
     scatterer.strength *= seen.gain;

@@ -4,24 +4,31 @@
 //! the backscattering strength of its grazing angle at the sonar (`boundaries`), and a circular Gaussian reflectivity that changes: between two
 //! independent values a correlation time apart it turns from the one to the other, with a constant mean square. The values depend on seed, place and time
 //! alone.
+//!
+//! With waves, each scatterer moves with the orbital velocity of a wind sea at its place ([`wind_sea`](echotank_synthesis::echo::wind_sea)) and is one of the
+//! moving scatterers of the ping. With automatic density, those that are weak beside the other echoes of their range are thinned (`image_thinning`).
 
 use rayon::prelude::*;
 
+use crate::image_thinning::{Echo, ImageThinning};
 use echotank_config::spec::{
-    AnchorSpec, BottomSpec, IncidenceSpec, OcclusionSpec, RigSpec, SceneSpec, SeabedShape,
+    AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, RigSpec, SceneSpec, SeabedShape,
     SeabedSpec,
 };
 use echotank_core::ping::PingPlan;
-use echotank_core::scene::{Footprint, LawCurve, Scatterers};
+use echotank_core::scene::{Footprint, LawCurve, MovingScatterer, ScatterLaw, Scatterers};
 use echotank_core::time::UtcNs;
-use echotank_scene::draws::{circular_gaussian, philox};
+use echotank_scene::draws::{circular_gaussian, fraction, philox};
 use echotank_scene::{Files, Scene, SceneError};
 use echotank_synthesis::echo::boundaries::SeaSurface;
+use echotank_synthesis::echo::wind_sea::WindSea;
 use glam::DVec3;
 use num_complex::Complex64;
 
 /// Separates these numbers from other uses of the same seed.
 const SURFACE: u32 = 0x5EA5_0FAC;
+/// Separates the waves from the reflectivities.
+const WAVES: u32 = 0x3A7E;
 /// Places are told apart to this length, metres.
 const PLACE_M: f64 = 1e-3;
 /// Scatterers of a task.
@@ -52,6 +59,11 @@ pub(crate) struct SurfaceSheet {
     curves: Vec<LawCurve>,
     areas: Vec<Footprint>,
     made: Scatterers,
+    /// Where the surface moves.
+    sea: Option<WindSea>,
+    /// Where it moves, and its density is automatic.
+    thinning: Option<ImageThinning>,
+    moving: Vec<MovingScatterer>,
 }
 
 impl SurfaceSheet {
@@ -96,6 +108,14 @@ impl SurfaceSheet {
                 .collect(),
             areas: Vec::new(),
             made: Scatterers::default(),
+            sea: scattering.waves.then(|| {
+                let key = [spec.scene.seed as u32, (spec.scene.seed >> 32) as u32];
+                let draw = |i: u32| fraction(philox([i, 0, WAVES, SURFACE], key)[0]);
+                WindSea::new(surface.wind_m_per_s, draw)
+            }),
+            thinning: (scattering.waves && matches!(scattering.density, Density::Auto { .. }))
+                .then(ImageThinning::default),
+            moving: Vec::new(),
         }))
     }
 
@@ -127,32 +147,89 @@ impl SurfaceSheet {
             area
         }));
         self.scene.gather(&self.areas, &mut self.made);
-        let draws = Draws::at(self.seed, plan.transmit_utc, self.correlation_time_s);
         let curve = &self.curves[plan.sonar];
         let made = &mut self.made;
+        made.down_m.fill(down_m);
+        made.normal.fill([0.0, 0.0, 1.0]);
+        if let Some(thinning) = &mut self.thinning {
+            let ground = (&*scatterers, scatterers.of_scene(), None);
+            let surface = (&*made, made.len(), Some(curve));
+            thinning.look(footprints, &[ground, surface]);
+        }
+        let thinning = self.thinning.as_ref();
+        let draws = Draws::at(self.seed, plan.transmit_utc, self.correlation_time_s);
         let places = made
             .north_m
             .par_chunks(TOGETHER)
             .zip(made.east_m.par_chunks(TOGETHER));
-        places
-            .zip(made.down_m.par_chunks_mut(TOGETHER))
-            .zip(made.normal.par_chunks_mut(TOGETHER))
-            .zip(made.strength.par_chunks_mut(TOGETHER))
-            .for_each(|((((north_m, east_m), down), normal), strength)| {
+        places.zip(made.strength.par_chunks_mut(TOGETHER)).for_each(
+            |((north_m, east_m), strength)| {
                 for i in 0..strength.len() {
-                    down[i] = down_m;
-                    normal[i] = [0.0, 0.0, 1.0];
                     let ray_m = DVec3::new(north_m[i], east_m[i], down_m) - array_m;
                     let sine = (-ray_m.z / ray_m.length()).clamp(f64::MIN_POSITIVE, 1.0);
                     let half = curve.half(sine.sqrt());
                     // Lambert's factor of both legs is the sine.
-                    let pressure = strength[i].norm() * half * half / sine;
+                    let mut pressure = strength[i].norm() * half * half / sine;
+                    if let Some(thinning) = thinning {
+                        let echo = Echo {
+                            at_m: [array_m + ray_m; 2],
+                            normals: [[0.0, 0.0, 1.0]; 2],
+                            strength: pressure,
+                            law: ScatterLaw::Lambert,
+                        };
+                        let share = thinning.share(footprints, &echo, None);
+                        pressure = match draws.chance(north_m[i], east_m[i]) < share {
+                            true => pressure / share.sqrt(),
+                            false => 0.0,
+                        };
+                    }
                     strength[i] = draws.reflectivity(north_m[i], east_m[i]) * pressure;
                 }
-            });
-        scatterers.append(made);
-        made.len() as u64
+            },
+        );
+        match &self.sea {
+            Some(sea) => {
+                set_in_motion(sea, plan, array_m, made, &mut self.moving);
+                let before = scatterers.moving.len();
+                let kept = self.moving.iter().filter(|s| s.strength != Complex64::ZERO);
+                scatterers.moving.extend(kept);
+                (scatterers.moving.len() - before) as u64
+            }
+            None => {
+                scatterers.append(made);
+                made.len() as u64
+            }
+        }
     }
+}
+
+/// The scatterers of the surface in motion, where the sound of a pulse finds them.
+fn set_in_motion(
+    sea: &WindSea,
+    plan: &PingPlan,
+    array_m: DVec3,
+    made: &Scatterers,
+    moving: &mut Vec<MovingScatterer>,
+) {
+    let utc_s = plan.transmit_utc.0 as f64 * 1e-9;
+    let one = |i: usize| {
+        let at_m = made.position_m(i);
+        let hit_s = at_m.distance(array_m) / plan.sound_speed_m_per_s;
+        let velocity_m_per_s = match made.strength[i] == Complex64::ZERO {
+            true => DVec3::ZERO,
+            false => sea.velocity_m_per_s(at_m.x, at_m.y, utc_s + hit_s),
+        };
+        MovingScatterer {
+            position_m: at_m - velocity_m_per_s * hit_s,
+            velocity_m_per_s,
+            normal: made.normal[i],
+            strength: made.strength[i],
+            law: made.law[i],
+            target: MovingScatterer::OF_SURFACE,
+        }
+    };
+    let rows = (0..made.len()).into_par_iter().with_min_len(TOGETHER / 16);
+    rows.map(one).collect_into_vec(moving);
 }
 
 /// Reflectivities of one instant.
@@ -176,11 +253,21 @@ impl Draws {
         }
     }
 
-    /// Circular Gaussian with a mean square of 1.
-    fn reflectivity(&self, north_m: f64, east_m: f64) -> Complex64 {
+    /// Random numbers of a place.
+    fn place(&self, north_m: f64, east_m: f64, use_of: u32) -> [u32; 4] {
         let [north, east] = [north_m, east_m].map(|m| (m / PLACE_M).round() as i64);
         let high = (north >> 32) as u32 & 0xFFFF | ((east >> 32) as u32) << 16;
-        let place = philox([north as u32, east as u32, high, SURFACE], self.key);
+        philox([north as u32, east as u32, high, use_of], self.key)
+    }
+
+    /// From 0 to 1, the same at every instant.
+    fn chance(&self, north_m: f64, east_m: f64) -> f64 {
+        fraction(self.place(north_m, east_m, WAVES)[0])
+    }
+
+    /// Circular Gaussian with a mean square of 1.
+    fn reflectivity(&self, north_m: f64, east_m: f64) -> Complex64 {
+        let place = self.place(north_m, east_m, SURFACE);
         let value = |step: i64| {
             let [a, b, ..] = philox(
                 [place[0], place[1], step as u32, (step >> 32) as u32],

@@ -303,9 +303,9 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             let mut scatterers = Scatterers::default();
             let areas = rig.widen(&slot.plan, &areas).to_vec();
             let mut scene = rig.scene.gather(&areas, &mut scatterers);
+            rig.append_moving(&slot.plan, &mut scatterers, &mut scene);
             scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
             rig.append_volume(&slot.plan, &mut scatterers, &mut scene);
-            rig.append_moving(&slot.plan, &mut scatterers, &mut scene);
             rig.propagate(&slot.plan, &mut scatterers, &mut scene);
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
             (slot.plan.clone(), scatterers, scene)

@@ -27,6 +27,7 @@ pub mod reflected_rays;
 pub mod span;
 pub mod stretch;
 pub mod walk;
+pub mod wind_sea;
 
 pub use absorption::absorption_db_per_m;
 pub use reference::reference;

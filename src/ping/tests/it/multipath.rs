@@ -14,6 +14,7 @@ use echotank_runtime::config_files::parse;
 use echotank_runtime::recorded::RecordedRig;
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::boundaries::SeaSurface;
+use echotank_synthesis::echo::moving::MovingEchoes;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -365,6 +366,15 @@ impl Cells {
         insonify(plan, &sonar.transmit[0], window, scatterers, &mut leg);
         let mut work = Workspace::new();
         arrivals(plan, &sonar.receive[0], 0, &leg, &mut work, self);
+        let mut moving = MovingEchoes::default();
+        moving.prepare(
+            plan,
+            &sonar.transmit,
+            &sonar.receive,
+            &scatterers.moving,
+            0.0,
+        );
+        moving.arrivals(plan, (0, &sonar.receive[0]), 0, self);
         let gain_db = 200.0 + sonar.receive[0].sensitivity_db;
         let unit = 10f64.powf(-gain_db / 10.0);
         self.sums.iter().map(|sum| sum.norm_sqr() * unit).collect()
@@ -372,11 +382,16 @@ impl Cells {
 }
 
 /// Kolmogorov's probability that intensities over their means are exponential, which those of a Rayleigh envelope are.
-fn rayleigh(mut values: Vec<f64>) -> f64 {
+fn rayleigh(values: Vec<f64>) -> f64 {
+    kolmogorov(values, |x| 1.0 - (-x).exp())
+}
+
+/// Kolmogorov's probability that independent values have a law, given by its distribution function.
+fn kolmogorov(mut values: Vec<f64>, law: impl Fn(f64) -> f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len() as f64;
     let apart = values.iter().enumerate().map(|(k, x)| {
-        let law = 1.0 - (-x).exp();
+        let law = law(*x);
         (law - k as f64 / n)
             .abs()
             .max(((k + 1) as f64 / n - law).abs())
@@ -499,9 +514,9 @@ fn the_surface_scatters_at_its_strength_from_its_depth_on_and_decorrelates() {
     const PINGS: u32 = 12;
     let folder = tempfile::tempdir().expect("a folder");
     let wind = 8.0;
-    for khz in [30.0, 400.0] {
+    for (khz, waves) in [(30.0, false), (400.0, false), (400.0, true)] {
         let medium = format!(
-            "wind_m_per_s = {wind}\n[medium.surface]\nscattering = true\ncorrelation_time_ms = 40.0"
+            "wind_m_per_s = {wind}\n[medium.surface]\nscattering = true\nwaves = {waves}\ncorrelation_time_ms = 40.0"
         );
         // The seabed sets the density of the surface's scatterers and is out of range.
         let scene = plane(60.0, "density_per_m2 = 60.0");
@@ -539,7 +554,9 @@ fn the_surface_scatters_at_its_strength_from_its_depth_on_and_decorrelates() {
         pool(2).expect("threads").install(|| {
             pings(&spec, PINGS, |_, slot, scatterers| {
                 assert_eq!(scatterers.of_scene(), 0);
-                assert_eq!(slot.output.scene.surface as usize, scatterers.len());
+                let (still, moving) = (scatterers.len(), scatterers.moving.len());
+                assert_eq!(slot.output.scene.surface as usize, still + moving);
+                assert_eq!(if waves { still } else { moving }, 0);
                 let got = sums.of(&spec, &slot.plan, scatterers);
                 relative.extend(got.iter().zip(&want).map(|(got, want)| got / want));
                 let samples = slot.output.elements[0].element(0);
@@ -557,11 +574,88 @@ fn the_surface_scatters_at_its_strength_from_its_depth_on_and_decorrelates() {
         let mean = relative.iter().sum::<f64>() / relative.len() as f64;
         let off_db = 10.0 * mean.log10();
         let p = rayleigh(relative.iter().map(|x| x / mean).collect());
-        println!("{khz} kHz: {off_db:+.2} dB of the integral, Rayleigh p = {p:.2}");
+        println!("{khz} kHz, waves {waves}: {off_db:+.2} dB of the integral, Rayleigh p = {p:.2}");
         assert!(off_db.abs() < 0.5, "{khz} kHz: {off_db} dB");
         // The still platform sees the same places in every ping, half a second apart: were they not drawn anew, all pings would agree.
         assert!(p > 0.01, "{khz} kHz: p = {p}");
     }
+}
+
+/// Doppler of the echoes of one ping, with their delays and intensities.
+#[derive(Default)]
+struct Dopplers {
+    echoes: Vec<[f64; 3]>,
+}
+
+impl ArrivalSink for Dopplers {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        for i in 0..chunk.len {
+            let intensity = chunk.amplitude[i].norm_sqr();
+            self.echoes
+                .push([chunk.doppler[i], chunk.delay_s[i], intensity]);
+        }
+    }
+}
+
+/// The Doppler of echoes from a surface with waves: Gaussian, with the variance of the orbital velocity along the ray, m2 sin^2 + (m2 / 2) cos^2 of the
+/// elevation, m2 = 4.17e-3 U^2 (Pierson and Moskowitz).
+#[test]
+fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
+    const PINGS: u32 = 390;
+    const WIND: f64 = 4.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let setup = Setup {
+        khz: 100.0,
+        range_m: 12.0,
+        medium: &format!(
+            "wind_m_per_s = {WIND}\n[medium.surface]\nscattering = true\nwaves = true"
+        ),
+        scene: &plane(60.0, "density_per_m2 = 4.0"),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    let m2 = 8.1e-3 * std::f64::consts::PI.sqrt() * WIND * WIND / (4.0 * 0.74f64.sqrt());
+    let (mut sum, mut weight, mut apart) = (0.0, 0.0, Vec::new());
+    pool(2).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        for ping in 0..PINGS {
+            let (sonar, order) = recorded.next_order(PINGS).expect("an order");
+            assert!(recorded.settle(sonar, &order));
+            let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+            motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
+            gather(&mut recorded.rig, sonar, &mut slot);
+            let sonar = &spec.sonars[0];
+            let mut moving = MovingEchoes::default();
+            let scatterers = &recorded.rig.scatterers().moving;
+            moving.prepare(&slot.plan, &sonar.transmit, &sonar.receive, scatterers, 0.0);
+            let mut dopplers = Dopplers::default();
+            moving.arrivals(&slot.plan, (0, &sonar.receive[0]), 0, &mut dopplers);
+            assert!(dopplers.echoes.len() > 100);
+            // Radial velocity over its predicted deviation.
+            let of = |[doppler, delay_s, _]: [f64; 3]| {
+                let sine = SONAR_M / (0.5 * C * delay_s);
+                let variance = m2 * (sine * sine + 0.5 * (1.0 - sine * sine));
+                0.5 * C * doppler / variance.sqrt()
+            };
+            for echo in &dopplers.echoes {
+                sum += of(*echo).powi(2) * echo[2];
+                weight += echo[2];
+            }
+            // Every two seconds one echo, of another place.
+            if ping % 4 == 0 {
+                let k = (ping as usize * 7919) % dopplers.echoes.len();
+                apart.push(of(dopplers.echoes[k]));
+            }
+        }
+    });
+    let ratio = sum / weight;
+    let p = kolmogorov(apart, |x| 0.5 * (1.0 + libm::erf(x / 2f64.sqrt())));
+    println!("variance {ratio:.3} of the predicted one, Gaussian p = {p:.2}");
+    assert!((ratio - 1.0).abs() < 0.12, "{ratio}");
+    assert!(p > 0.01, "p = {p}");
 }
 
 /// A path that facets bend is longer than the mirror path, by (geometric optics of one reflection) 4 s^2 r_1 r_2 / (2 L) in the mean at the vertical, with
@@ -816,6 +910,68 @@ fn thinned_images_keep_level_and_statistics() {
     );
     // What the automatic density allows in a shadow.
     assert!(of_own < 2.6, "{of_own}");
+}
+
+/// Over a seabed of automatic density a surface with waves is thinned: fewer scatterers, the same level as the whole surface at rest.
+#[test]
+fn a_thinned_surface_keeps_its_level() {
+    const PINGS: u32 = 60;
+    let folder = tempfile::tempdir().expect("a folder");
+    let level = |waves: bool| {
+        let medium = format!(
+            "wind_m_per_s = 8.0\n[medium.surface]\nscattering = true\nwaves = {waves}\ncorrelation_time_ms = 40.0"
+        );
+        let setup = Setup {
+            khz: 200.0,
+            range_m: 16.0,
+            medium: &medium,
+            scene: &plane(8.0, "density = \"auto\""),
+            model: DIRECT,
+            patterns: [
+                "roll_deg = 90.0\npattern = \"rectangle\"\nlength_m = 0.19\nwidth_m = 0.004",
+                "roll_deg = 90.0\nelement_pattern = \"rectangle\"\nelement_length_m = 0.19\nelement_width_m = 0.004",
+            ],
+            speed: 3.0,
+        };
+        let spec = rig(folder.path(), &setup);
+        let mut sums = Cells {
+            first_m: SONAR_M,
+            cell_m: 0.3,
+            carrier_hz: 200e3,
+            sums: vec![Complex64::ZERO; 44],
+        };
+        let (mut sum, mut count) = ([0.0; 2], 0);
+        pool(2).expect("threads").install(|| {
+            let mut recorded = RecordedRig::open(&spec).expect("opens");
+            let mut slot = recorded.rig.slot(0);
+            for _ in 0..PINGS {
+                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
+                assert!(recorded.settle(sonar, &order));
+                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
+                gather(&mut recorded.rig, sonar, &mut slot);
+                let all = recorded.rig.scatterers();
+                let mut surface = Scatterers {
+                    moving: all.moving.clone(),
+                    ..Scatterers::default()
+                };
+                for i in all.of_scene()..all.len() {
+                    surface.push_copy(all, i, 1.0);
+                }
+                count += surface.len() + surface.moving.len();
+                // Before the bottom echo, and with it.
+                let cells = sums.of(&spec, &slot.plan, &surface);
+                sum[0] += cells[..19].iter().sum::<f64>();
+                sum[1] += cells[19..].iter().sum::<f64>();
+            }
+        });
+        (sum, count)
+    };
+    let ((want, all), (got, some)) = (level(false), level(true));
+    let off_db = [0, 1].map(|k| 10.0 * (got[k] / want[k]).log10());
+    println!("{off_db:+.2?} dB, with {some} of {all} scatterers");
+    assert!(some < all * 2 / 3, "{some} of {all}");
+    assert!(off_db.iter().all(|off| off.abs() < 0.5), "{off_db:?} dB");
 }
 
 /// Over a sloping bottom the distance of an image is the length of the shortest path by bottom and surface (Fermat), found by moving both points of
