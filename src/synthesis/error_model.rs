@@ -97,11 +97,15 @@ pub struct EchoStatistics {
     pub acceleration_m_per_s2: f64,
     /// Speed of an element on its lever arm from the rotation of the platform, along the ray, metres per second.
     pub turning_m_per_s: f64,
+    /// Change of the acceleration of a transmitter or element along the ray, within a pulse, metres per second squared.
+    pub acceleration_change_m_per_s2: f64,
     /// Component along the ray of the motion of an element across its array, metres per second.
     pub across_m_per_s: f64,
     /// Ratio of the summed error of echoes with random phases, in the worst window of any element, to its root mean square. It
     /// includes an allowance for the sampling of echoes.
     pub spread: f64,
+    /// Errors of random phase in the worst window, over their rms over whole echoes. It includes the fading of the window.
+    pub fading: f64,
     /// Maximum fraction of the energy of a window in its strongest echo.
     pub strongest_share: f64,
     /// Number of echoes of all elements.

@@ -83,6 +83,16 @@ impl SlabDesign {
         error_model
     }
 
+    /// Predicted error of a single echo; see [`Gridded1d::single_echo_error`].
+    pub fn single_echo_error(&self) -> f64 {
+        self.engine.single_echo_error()
+    }
+
+    /// Mean error over echoes; see [`Gridded1d::mean_error`].
+    pub fn mean_error(&self) -> f64 {
+        self.engine.mean_error()
+    }
+
     /// Cost of a whole record; see [`Gridded1d::cost_estimate`] for the arguments.
     pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
         let (samples, count) = (self.samples as f64, self.slabs as f64);

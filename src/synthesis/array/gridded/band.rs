@@ -109,7 +109,7 @@ pub(super) fn band(spec: &Spec, alone: &SingleEcho) -> Result<Band, GriddedError
                 fade_hz,
                 outside: 0.0,
             };
-            band.outside = alone.left_out(&band);
+            band.outside = alone.left_out(&band).worst;
             if band.outside <= SHARE * spec.tolerance {
                 return Ok(band);
             }

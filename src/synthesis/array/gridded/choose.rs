@@ -182,6 +182,13 @@ fn worst(trial: &Trial, kernel: usize, grid: &DopplerGrid) -> f64 {
     error
 }
 
+/// A Doppler grid with its error.
+pub(super) struct FittedGrid {
+    pub grid: DopplerGrid,
+    /// At the worst instant of an echo.
+    pub error: f64,
+}
+
 /// Inputs to the selection of Doppler grids.
 pub(crate) struct Trials<'a> {
     pub spec: &'a Spec<'a>,
@@ -192,15 +199,18 @@ pub(crate) struct Trials<'a> {
 
 impl Trials<'_> {
     /// Selects the grid for echoes without curvature, or with a curvature of phase `curvature_rad` at
-    /// the ends of pulses. Returns the grid with its error. `alone` returns the single-echo error
+    /// the ends of pulses. `alone` returns the single-echo error
     /// of a grid in the worst window, without curvature.
     pub(super) fn doppler(
         &self,
         curvature_rad: f64,
         alone: impl Fn(&DopplerGrid) -> f64,
-    ) -> Option<(DopplerGrid, f64)> {
+    ) -> Option<FittedGrid> {
         if self.span.greatest == self.span.least && curvature_rad == 0.0 {
-            return Some((DopplerGrid::common(self.span), 0.0));
+            return Some(FittedGrid {
+                grid: DopplerGrid::common(self.span),
+                error: 0.0,
+            });
         }
         let trial = self.trial(curvature_rad);
         let alone_share = match few(self.spec) {
@@ -211,7 +221,7 @@ impl Trials<'_> {
         for _ in 0..TRIES {
             let (grid, error) = self.cheapest(&trial, share)?;
             if alone(&grid) <= alone_share * self.spec.tolerance {
-                return Some((grid, error));
+                return Some(FittedGrid { grid, error });
             }
             share *= 0.5;
         }

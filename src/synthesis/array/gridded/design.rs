@@ -10,7 +10,7 @@ use num_complex::Complex64;
 
 use crate::array::filter::Decimator;
 use echotank_core::model::DopplerModel;
-use echotank_core::pulse::Pulse;
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
 
 use super::band::{Band, band, widest};
 use super::batched_fft::lanes_for;
@@ -23,11 +23,15 @@ use super::doppler::{CurvatureWeights, DopplerGrid, DopplerSpan, Received};
 use super::evenly::{beyond_hz, evenly};
 use super::kernel::{Kernel, MAX_WIDTH};
 use super::moments::Real;
-use super::one_dimensional::{GriddedError, MIN_F32_MOMENTS, Spec};
+use super::one_dimensional::{GriddedError, Spec};
 use super::prepare::Frame;
 use super::pulse_spectrum::PulseSpectrum;
-use super::single_echo::SingleEcho;
+use super::single_echo::{EchoErrors, SingleEcho};
 use super::transform::grid_size;
+
+/// What no design has for a tolerance.
+const DELAY_KERNEL: &str = "kernel over delay";
+const DOPPLER_GRID: &str = "grid over Dopplers";
 
 /// Curvature times pulse length above which the series for the middle of an echo fails.
 const MAX_CURVATURE_TIMES_PULSE: f64 = 0.05;
@@ -55,6 +59,8 @@ pub(crate) struct Design {
     pub beside: f64,
     sweep: f64,
     pub error: f64,
+    /// Errors of a single echo, with the noise floor of the contract.
+    pub single_echo: EchoErrors,
 }
 
 pub(crate) struct DesignedTerm {
@@ -130,9 +136,9 @@ impl Design {
         let pulse = spec.pulse;
         let rate_hz = spec.sample_rate_hz;
         let carrier_hz = pulse.center_frequency_hz;
-        let unreachable = |least| GriddedError::Tolerance {
+        let unreachable = |missing| GriddedError::Unreachable {
             tolerance: asked.tolerance,
-            least,
+            missing,
         };
         let (still, greatest_q) = match spec.doppler {
             DopplerModel::None => (true, 0.0),
@@ -204,7 +210,8 @@ impl Design {
             order,
             greatest_p,
         };
-        let of_dopplers = |grid: &DopplerGrid| alone.dopplers(grid, received(0), &kept) / weakening;
+        let of_dopplers =
+            |grid: &DopplerGrid| alone.dopplers(grid, received(0), &kept).worst / weakening;
         let weights = match count > 0 && weights_carry_curvature(spec, curvature_rad, greatest_p) {
             true => trials.doppler(curvature_rad, of_dopplers),
             false => None,
@@ -213,18 +220,18 @@ impl Design {
         let count = if weights_carry { 0 } else { count };
         let doppler = weights
             .or_else(|| trials.doppler(0.0, of_dopplers))
-            .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
+            .ok_or_else(|| unreachable(DOPPLER_GRID))?;
         let mut terms = vec![DesignedTerm {
-            grid: doppler.0,
+            grid: doppler.grid,
             min_curvature: 0.0,
         }];
-        let mut fit_error2 = doppler.1.powi(2);
+        let mut fit_error2 = doppler.error.powi(2);
         let mut term_rad = 1.0;
         for order in 1..=count {
             term_rad *= curvature_rad / order as f64;
             let (grid, error) = trials
                 .term(term_rad)
-                .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
+                .ok_or_else(|| unreachable(DOPPLER_GRID))?;
             fit_error2 += error * error;
             terms.push(DesignedTerm {
                 grid,
@@ -245,14 +252,44 @@ impl Design {
             _ => MAX_WIDTH,
         };
         let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
-            alone.kernel(kernel, &kept, grid as f64 / period_s) / weakening
+            alone.kernel(kernel, &kept, grid as f64 / period_s).worst / weakening
         })
-        .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
+        .ok_or_else(|| unreachable(DELAY_KERNEL))?;
 
         let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
         let series = match weights_carry {
             true => 0.0,
             false => term_rad * curvature_rad / (count + 1) as f64,
+        };
+        // What is promised refers to the noise floor of the contract.
+        let promised = SingleEcho::new(
+            &Spec {
+                level_range_db: asked.level_range_db.min(FLOOR_BELOW_STRONGEST_DB),
+                ..*asked
+            },
+            span,
+            &spectrum,
+        );
+        let of_kernel = promised.kernel(&kernel, &kept, grid as f64 / period_s);
+        let of_band = promised.left_out(&kept);
+        let of_terms = (fit_error2 - doppler.error.powi(2)).max(0.0).sqrt();
+        let mut of_doppler = match terms[0].grid.columns {
+            1 => EchoErrors::default(),
+            _ => promised.dopplers(&terms[0].grid, received(0), &kept),
+        };
+        if weights_carry || terms[0].grid.columns == 1 {
+            // With curvature, the end of an echo is off by the error of the fit there.
+            of_doppler.worst = of_doppler.worst.max(doppler.error);
+            of_doppler.mean = of_doppler.mean.max(doppler.error);
+        }
+        let all = |error: fn(&EchoErrors) -> f64| {
+            let of_fits = [of_kernel, of_doppler, of_band].map(|of| error(&of));
+            let others = [of_terms, rounding, series];
+            of_fits.into_iter().chain(others).fold(0.0, f64::hypot)
+        };
+        let single_echo = EchoErrors {
+            worst: all(|of| of.worst),
+            mean: all(|of| of.mean),
         };
         let error = [
             kernel.error,
@@ -293,6 +330,7 @@ impl Design {
             beside,
             sweep: sweep(spec),
             error,
+            single_echo,
         })
     }
 

@@ -32,7 +32,7 @@ use crate::array::filter::Decimator;
 use crate::arrivals::{ArrivalChunk, ArrivalSink};
 use crate::error_model::ErrorModel;
 use echotank_core::model::DopplerModel;
-use echotank_core::pulse::Pulse;
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
 
 use super::batched_fft::{BatchedFft, Job, LANES, MAX_TOGETHER, Place, lanes_for};
 use super::choose::{SHARE, weakening};
@@ -104,6 +104,17 @@ pub enum GriddedError {
         /// Smallest supported tolerance.
         least: f64,
     },
+    /// No design keeps the tolerance in every window.
+    #[error(
+        "gridded-1d: no {missing} keeps tolerance {tolerance:e} in every window with this pulse and sample rate; use a larger tolerance, \
+         a higher sample rate or `direct`"
+    )]
+    Unreachable {
+        /// Requested tolerance.
+        tolerance: f64,
+        /// Part of the design that is missing.
+        missing: &'static str,
+    },
     /// The Doppler model is `paper-eq21`.
     #[error("gridded-1d: Doppler model `paper-eq21` is not supported")]
     DopplerModel,
@@ -137,6 +148,8 @@ pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
     cost_estimate: Box<dyn Fn(usize, f64, f64) -> CostEstimate + Send + Sync>,
     error_model: ErrorModel,
+    single_echo_error: f64,
+    mean_error: f64,
 }
 
 /// Buffers of one thread, and the current element. Call [`Self::start`], pass the arrivals as to
@@ -191,6 +204,11 @@ impl Gridded1d {
         // f64 doubles the memory traffic.
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
+        // Rounding of transforms spreads over the record; the noise floor bounds what it amounts to.
+        let above_floor_db = spec.level_range_db - FLOOR_BELOW_STRONGEST_DB;
+        let rounding = spread_error * 10f64.powf(-above_floor_db.max(0.0) / 20.0);
+        let single_echo_error = design.single_echo.worst.hypot(rounding);
+        let mean_error = design.single_echo.mean.hypot(rounding);
         let doppler = &design.terms[0].grid;
         let curvature = match &design.terms[1..] {
             [] if design.frame.curved => ", which carry curvature".into(),
@@ -225,7 +243,19 @@ impl Gridded1d {
                 costing.cost_estimate(words, arrivals, share, curvature)
             }),
             error_model,
+            single_echo_error,
+            mean_error,
         })
+    }
+
+    /// Predicted error of a single echo, over its level in the window or the noise floor, in the worst window.
+    pub fn single_echo_error(&self) -> f64 {
+        self.single_echo_error
+    }
+
+    /// Predicted rms error over the echoes of a ping and their places on the grids.
+    pub fn mean_error(&self) -> f64 {
+        self.mean_error
     }
 
     /// Predicted error, and cost in milliseconds of one core per element.
@@ -967,7 +997,7 @@ mod tests {
 
     /// Single-echo error at the ends of the Doppler range and between: worst window, every sample,
     /// with noise 55 dB below the strongest window.
-    fn alone(doppler: DopplerModel, curvature_per_s: f64, tolerance: f64) -> (f64, String) {
+    fn alone(doppler: DopplerModel, curvature_per_s: f64, tolerance: f64) -> (f64, Gridded1d) {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
         let spec = Spec {
@@ -1000,7 +1030,7 @@ mod tests {
                 .map(|at| (off(at) / energy(at).max(noise)).sqrt())
                 .fold(worst, f64::max);
         }
-        (worst, engine.error_model().why.clone())
+        (worst, engine)
     }
 
     #[test]
@@ -1010,9 +1040,14 @@ mod tests {
             (DopplerModel::StretchQuadratic, 5e-4),
         ] {
             for tolerance in [1e-1, 1e-2, 1e-3, 1e-4] {
-                let (error, why) = alone(doppler, curvature_per_s, tolerance);
-                println!("{doppler:?} {tolerance:e}: {error:.2e}; {why}");
+                let (error, engine) = alone(doppler, curvature_per_s, tolerance);
+                let why = &engine.error_model().why;
+                let predicted = engine.single_echo_error();
+                println!("{doppler:?} {tolerance:e}: {error:.2e} of {predicted:.2e}; {why}");
                 assert!(error <= tolerance, "{error:e} > {tolerance:e}: {why}");
+                assert!(error <= predicted, "{error:e} > {predicted:e}: {why}");
+                assert!(predicted <= 10.0 * error, "{predicted:e}, {error:e}: {why}");
+                assert!(engine.mean_error() <= predicted, "{why}");
             }
         }
     }
@@ -1022,7 +1057,8 @@ mod tests {
     #[test]
     fn weights_carry_a_curvature_as_well_as_separate_columns() {
         let carried = |tolerance| {
-            let (error, why) = alone(DopplerModel::StretchQuadratic, 5e-3, tolerance);
+            let (error, engine) = alone(DopplerModel::StretchQuadratic, 5e-3, tolerance);
+            let why = &engine.error_model().why;
             assert!(error <= tolerance, "{error:e} > {tolerance:e}: {why}");
             why.contains("which carry curvature")
         };

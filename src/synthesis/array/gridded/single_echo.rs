@@ -5,7 +5,6 @@
 //! matched to the receiver filter. A window with only the end of an echo, or of the filter's tail,
 //! needs a small error relative to that part. The check therefore synthesises an echo and its
 //! error, and compares both window by window.
-//! error, and compares both window by window.
 
 use num_complex::Complex64;
 
@@ -32,6 +31,29 @@ const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
 
 /// Number of tested cells at an end of a Doppler grid. Further cells have little effect.
 const END_CELLS: usize = 12;
+
+/// Errors of a single echo.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct EchoErrors {
+    /// In the worst window, at the worst place.
+    pub worst: f64,
+    /// rms over the echo and over the tested places.
+    pub mean: f64,
+}
+
+impl EchoErrors {
+    /// Of all places.
+    fn of(places: impl Iterator<Item = Self>) -> Self {
+        let (mut all, mut count) = (Self::default(), 0.0f64);
+        for place in places {
+            all.worst = all.worst.max(place.worst);
+            all.mean += place.mean * place.mean;
+            count += 1.0;
+        }
+        all.mean = (all.mean / count.max(1.0)).sqrt();
+        all
+    }
+}
 
 /// Test echoes at both ends of the span of Dopplers.
 pub(super) struct SingleEcho {
@@ -94,14 +116,13 @@ impl SingleEcho {
         }
     }
 
-    /// Truncation error of `band` in the worst window.
-    pub(super) fn left_out(&self, band: &Band) -> f64 {
-        self.worst(|f_hz| Complex64::from(1.0 - band.gain(f_hz)))
+    /// Truncation error of `band`.
+    pub(super) fn left_out(&self, band: &Band) -> EchoErrors {
+        self.errors(|f_hz| Complex64::from(1.0 - band.gain(f_hz)))
     }
 
-    /// Error of `kernel` in the worst window at the worst position, within `band`, on a grid of
-    /// `grid_hz` values per second.
-    pub(super) fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> f64 {
+    /// Errors of `kernel` within `band`, on a grid of `grid_hz` values per second.
+    pub(super) fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> EchoErrors {
         let middle = 0.5 * (kernel.width - 1) as f64;
         let at = |x: f64| {
             let weight = |i: usize| {
@@ -110,7 +131,7 @@ impl SingleEcho {
                     .fold(0.0, |sum, k| sum * x + kernel.weight(k, i))
             };
             let weights: Vec<f64> = (0..kernel.width).map(weight).collect();
-            self.worst(|f_hz| {
+            self.errors(|f_hz| {
                 let kept = band.gain(f_hz);
                 if kept == 0.0 {
                     return Complex64::ZERO;
@@ -121,22 +142,26 @@ impl SingleEcho {
                 (sum / kernel.window_gain(nu) - wave(0.5 * nu * x)) * kept
             })
         };
-        PLACES.into_iter().map(at).fold(0.0, f64::max)
+        EchoErrors::of(PLACES.into_iter().map(at))
     }
 
-    /// Error in the worst window of a fit over the Dopplers of `grid`, within `band`. The error is
-    /// largest at the ends of the grid. For a long grid, each end is tested separately.
-    pub(super) fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
+    /// Errors of a fit over the Dopplers of `grid`, within `band`. They are largest at the ends of the
+    /// grid. For a long grid, each end is tested separately.
+    pub(super) fn dopplers(
+        &self,
+        grid: &DopplerGrid,
+        received: Received,
+        band: &Band,
+    ) -> EchoErrors {
         if grid.cells <= 2 * END_CELLS {
             return self.on_grid(grid, received, band);
         }
-        [0, grid.cells - END_CELLS]
-            .map(|first| self.on_grid(&grid.part(first, END_CELLS), received, band))
-            .into_iter()
-            .fold(0.0, f64::max)
+        let ends = [0, grid.cells - END_CELLS]
+            .map(|first| self.on_grid(&grid.part(first, END_CELLS), received, band));
+        EchoErrors::of(ends.into_iter())
     }
 
-    fn on_grid(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
+    fn on_grid(&self, grid: &DopplerGrid, received: Received, band: &Band) -> EchoErrors {
         let kept = self.frequency_hz.iter().zip(&self.gain);
         let kept: Vec<f64> = kept.map(|(&f_hz, gain)| band.gain(f_hz) * gain).collect();
         let bins = kept.len();
@@ -155,34 +180,38 @@ impl SingleEcho {
                 taps.map(|(tap, weight)| columns[(from + tap) * bins + bin] * weight)
                     .sum()
             };
-            let rest = (0..bins)
+            let rest: Vec<Complex64> = (0..bins)
                 .map(|bin| fitted(bin) - echo[bin] * kept[bin])
                 .collect();
             let heard: Vec<Complex64> = echo.iter().zip(&self.gain).map(|(s, g)| s * g).collect();
-            worst(rest, &sizes(&heard, self.length, self.noise), self.length)
+            EchoErrors {
+                mean: rms_ratio(&rest, &heard),
+                worst: worst(rest, &sizes(&heard, self.length, self.noise), self.length),
+            }
         };
         let shares = cells.into_iter().flat_map(|cell| {
             ACROSS
                 .into_iter()
                 .map(move |across| (cell as f64 + across) / grid.cells as f64)
         });
-        shares.map(at).fold(0.0, f64::max)
+        EchoErrors::of(shares.map(at))
     }
 
-    /// Error in the worst window if the spectrum has the relative error `amiss` at each frequency.
-    fn worst(&self, amiss: impl Fn(f64) -> Complex64) -> f64 {
+    /// Errors if the spectrum has the relative error `amiss` at each frequency.
+    fn errors(&self, amiss: impl Fn(f64) -> Complex64) -> EchoErrors {
         let amiss: Vec<Complex64> = self.frequency_hz.iter().map(|&f_hz| amiss(f_hz)).collect();
         let echoes = self.spectra.iter().zip(&self.windows);
-        echoes
-            .map(|(spectrum, windows)| {
-                let rest = spectrum
-                    .iter()
-                    .zip(&amiss)
-                    .map(|(s, off)| s * off)
-                    .collect();
-                worst(rest, windows, self.length)
-            })
-            .fold(0.0, f64::max)
+        EchoErrors::of(echoes.map(|(spectrum, windows)| {
+            let rest: Vec<Complex64> = spectrum
+                .iter()
+                .zip(&amiss)
+                .map(|(s, off)| s * off)
+                .collect();
+            EchoErrors {
+                mean: rms_ratio(&rest, spectrum),
+                worst: worst(rest, windows, self.length),
+            }
+        }))
     }
 }
 
@@ -201,6 +230,12 @@ fn worst(rest: Vec<Complex64>, windows: &[f64], length: usize) -> f64 {
     let off = energies(rest, length);
     let shares = off.iter().zip(windows).map(|(off, size)| off / size);
     shares.fold(0.0, f64::max).sqrt()
+}
+
+/// rms of one spectrum over that of another.
+fn rms_ratio(rest: &[Complex64], of: &[Complex64]) -> f64 {
+    let energy = |all: &[Complex64]| all.iter().map(|x| x.norm_sqr()).sum::<f64>();
+    (energy(rest) / energy(of).max(f64::MIN_POSITIVE)).sqrt()
 }
 
 /// exp(-j 2pi turns).
