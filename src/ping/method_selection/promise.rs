@@ -19,6 +19,9 @@ use echotank_synthesis::error_model::Conditions;
 /// their motion tell how much greater the statistics are than those of the selection.
 const ALL: usize = 1000;
 
+/// Errors of so small a ratio are about the same.
+const ABOUT: f64 = 1.1;
+
 /// What a selection promises of pings that move otherwise than the one that it was made on.
 #[derive(Clone, Copy)]
 pub(super) struct Promise {
@@ -79,24 +82,26 @@ impl Promise {
             let doppler = doppler_error(self.doppler, path, &conditions);
             (path_error(path, &conditions) + bent + doppler).hypot(self.others)
         };
-        let mut best = (self.path, self.segment_s, error(self.path, self.segment_s));
-        if best.2 <= tolerance || !spec.synthesis.auto.path {
-            return best;
+        let selected = (self.path, self.segment_s, error(self.path, self.segment_s));
+        if selected.2 <= tolerance || !spec.synthesis.auto.path {
+            return selected;
         }
         // From cheap to costly.
         let shorter = SEGMENTS_S
             .into_iter()
             .filter(|&segment_s| spec.synthesis.auto.segment && segment_s < self.segment_s);
         let chords = std::iter::once(self.segment_s).chain(shorter);
-        let costlier = chords.map(|segment_s| (PathModel::KSegment, segment_s));
-        for (path, segment_s) in costlier.chain([(PathModel::Continuous, self.segment_s)]) {
-            if best.2 > tolerance {
-                let other = error(path, segment_s);
-                if other < best.2 {
-                    best = (path, segment_s, other);
-                }
-            }
-        }
-        best
+        let costlier = chords
+            .map(|segment_s| (PathModel::KSegment, segment_s))
+            .chain([(PathModel::Continuous, self.segment_s)])
+            .map(|(path, segment_s)| (path, segment_s, error(path, segment_s)));
+        let errors = costlier.clone().map(|(_, _, error)| error);
+        let least = errors.fold(selected.2, f64::min);
+        // Where none keeps the tolerance, the cheapest that is about as good as any.
+        let enough = tolerance.max(ABOUT * least);
+        std::iter::once(selected)
+            .chain(costlier)
+            .find(|(_, _, error)| *error <= enough)
+            .unwrap_or(selected)
     }
 }
