@@ -845,7 +845,7 @@ mod tests {
         };
         let loss = ear.one_way.amplitude(out_m.length()) * ear.one_way.amplitude(back_m.length());
         let energy = (level * law * loss).powi(2) * scatterers.strength[i].norm_sqr();
-        if !(energy > 0.0) {
+        if energy.is_nan() || energy <= 0.0 {
             return (0.0, 0);
         }
         let tested = level.abs() * f64::from(scatterers.loud[i]);
