@@ -57,7 +57,8 @@ pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] 
 const GROWTH: [i32; QUANTITIES] = [0, 1, 2, 0, 0, 0, 0];
 /// The last instant of an echo over the last part of a window's worth of it, for each of these powers: sqrt(3/2.31) and sqrt(5/3.05).
 const LAST_INSTANT: [f64; 3] = [1.0, 1.14, 1.28];
-/// A window with fewer echoes than this, by their energies, is mostly one echo or the end of one.
+/// A window with fewer echoes than this, by their energies, is one echo or the end of one; with fewer than the second, mostly.
+const ALONE: f64 = 1.001;
 const SINGLE: f64 = 1.25;
 
 /// All points and targets, and of the ground every so many, about `among` of them: each with how many it stands for.
@@ -148,10 +149,12 @@ impl Part {
             let all = (square * ratio).sqrt();
             let alone = all.min(mean + (variance * ratio).sqrt());
             let on_floor = (square * peak * energy / floor).sqrt();
-            *amount = match crowd < SINGLE {
-                true => alone.min(on_floor) * LAST_INSTANT[GROWTH[q] as usize] * SAMPLED,
-                false => alone.min(on_floor) * OVERLAPPING,
+            let margin = match crowd {
+                ..ALONE => LAST_INSTANT[GROWTH[q] as usize],
+                ..SINGLE => LAST_INSTANT[GROWTH[q] as usize] * SAMPLED,
+                _ => OVERLAPPING,
             };
+            *amount = alone.min(on_floor) * margin;
         }
         (
             amounts,
