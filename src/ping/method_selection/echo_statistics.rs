@@ -773,8 +773,9 @@ mod tests {
             let looks = f64::from(trials).ln();
             let (amounts, _) = window.amounts(1e-9, looks, SAMPLES as f64);
             println!("{amplitudes:?}: {worst:.2e}, predicted {:.2e}", amounts[0]);
+            // A lone echo is predicted exactly.
             assert!(
-                worst <= amounts[0],
+                worst <= amounts[0] * (1.0 + 1e-9),
                 "{amplitudes:?}: {worst:e} > {:e}",
                 amounts[0]
             );
