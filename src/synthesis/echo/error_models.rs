@@ -247,8 +247,8 @@ impl DopplerError {
             PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
             PathModel::Polyline => first_of(k, a * segment_s, t),
             // Of the reception only. The velocity is linear along a chord of duration h, and off by A h/4 at most; the
-            // acceleration is its mean over the chord. Where it swings to and fro, the velocity is off by no more than a twentieth
-            // of what the acceleration makes of it on a chord, as measured on random rigs and real tracks.
+            // acceleration is its mean over the chord. The smaller of this and an empirical bound, a twentieth of what the
+            // acceleration makes of the velocity on a chord; `tools/points_random.py` checks it.
             PathModel::KSegment => {
                 let of_change = k * chord_change * t * (0.25 * segment_s + 0.5 * t);
                 of_change.min(first_of(k, 0.05 * a * segment_s, t))

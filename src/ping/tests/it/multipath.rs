@@ -125,6 +125,22 @@ fn pings(spec: &RigSpec, last: u32, mut look: impl FnMut(u32, &PingSlot, &Scatte
     }
 }
 
+/// Motion and scatterers of some pings, without their echoes.
+fn gather_pings(spec: &RigSpec, pings: u32, mut look: impl FnMut(&PingPlan, &Scatterers) + Send) {
+    pool(2).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        for _ in 0..pings {
+            let (sonar, order) = recorded.next_order(pings).expect("an order");
+            assert!(recorded.settle(sonar, &order));
+            let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+            motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
+            gather(&mut recorded.rig, sonar, &mut slot);
+            look(&slot.plan, recorded.rig.scatterers());
+        }
+    });
+}
+
 /// Rayleigh reflection at the vertical by a fluid without loss.
 fn at_vertical(density: f64, speed: f64) -> f64 {
     (density * speed - 1.0) / (density * speed + 1.0)
@@ -480,21 +496,12 @@ fn the_second_bottom_echo_has_the_level_of_the_images_at_12_100_and_400_khz() {
             sums: vec![Complex64::ZERO; cells],
         };
         let mut relative = Vec::new();
-        pool(2).expect("threads").install(|| {
-            let mut recorded = RecordedRig::open(&spec).expect("opens");
-            let mut slot = recorded.rig.slot(0);
-            for _ in 0..PINGS {
-                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
-                assert!(recorded.settle(sonar, &order));
-                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
-                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
-                gather(&mut recorded.rig, sonar, &mut slot);
-                let second = only(recorded.rig.scatterers(), |out_m, back_m| {
-                    (out_m - BOTTOM_M).abs() < 1e-6 && back_m > 2.0 * BOTTOM_M
-                });
-                let got = sums.of(&spec, &slot.plan, &second);
-                relative.extend(got.iter().zip(&want).map(|(got, want)| got / want));
-            }
+        gather_pings(&spec, PINGS, |plan, all| {
+            let second = only(all, |out_m, back_m| {
+                (out_m - BOTTOM_M).abs() < 1e-6 && back_m > 2.0 * BOTTOM_M
+            });
+            let got = sums.of(&spec, plan, &second);
+            relative.extend(got.iter().zip(&want).map(|(got, want)| got / want));
         });
         let mean = relative.iter().sum::<f64>() / relative.len() as f64;
         let off_db = 10.0 * mean.log10();
@@ -618,38 +625,31 @@ fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
     let spec = rig(folder.path(), &setup);
     let m2 = 8.1e-3 * std::f64::consts::PI.sqrt() * WIND * WIND / (4.0 * 0.74f64.sqrt());
     let (mut sum, mut weight, mut apart) = (0.0, 0.0, Vec::new());
-    pool(2).expect("threads").install(|| {
-        let mut recorded = RecordedRig::open(&spec).expect("opens");
-        let mut slot = recorded.rig.slot(0);
-        for ping in 0..PINGS {
-            let (sonar, order) = recorded.next_order(PINGS).expect("an order");
-            assert!(recorded.settle(sonar, &order));
-            let (mode, utc) = (spec.nav.mode, order.transmit_utc);
-            motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
-            gather(&mut recorded.rig, sonar, &mut slot);
-            let sonar = &spec.sonars[0];
-            let mut moving = MovingEchoes::default();
-            let scatterers = &recorded.rig.scatterers().moving;
-            moving.prepare(&slot.plan, &sonar.transmit, &sonar.receive, scatterers, 0.0);
-            let mut dopplers = Dopplers::default();
-            moving.arrivals(&slot.plan, (0, &sonar.receive[0]), 0, &mut dopplers);
-            assert!(dopplers.echoes.len() > 100);
-            // Radial velocity over its predicted deviation.
-            let of = |[doppler, delay_s, _]: [f64; 3]| {
-                let sine = SONAR_M / (0.5 * C * delay_s);
-                let variance = m2 * (sine * sine + 0.5 * (1.0 - sine * sine));
-                0.5 * C * doppler / variance.sqrt()
-            };
-            for echo in &dopplers.echoes {
-                sum += of(*echo).powi(2) * echo[2];
-                weight += echo[2];
-            }
-            // Every two seconds one echo, of another place.
-            if ping % 4 == 0 {
-                let k = (ping as usize * 7919) % dopplers.echoes.len();
-                apart.push(of(dopplers.echoes[k]));
-            }
+    let mut ping = 0;
+    gather_pings(&spec, PINGS, |plan, all| {
+        let sonar = &spec.sonars[0];
+        let mut moving = MovingEchoes::default();
+        let scatterers = &all.moving;
+        moving.prepare(plan, &sonar.transmit, &sonar.receive, scatterers, 0.0);
+        let mut dopplers = Dopplers::default();
+        moving.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
+        assert!(dopplers.echoes.len() > 100);
+        // Radial velocity over its predicted deviation.
+        let of = |[doppler, delay_s, _]: [f64; 3]| {
+            let sine = SONAR_M / (0.5 * C * delay_s);
+            let variance = m2 * (sine * sine + 0.5 * (1.0 - sine * sine));
+            0.5 * C * doppler / variance.sqrt()
+        };
+        for echo in &dopplers.echoes {
+            sum += of(*echo).powi(2) * echo[2];
+            weight += echo[2];
         }
+        // Every two seconds one echo, of another place.
+        if ping % 4 == 0 {
+            let k = (ping as usize * 7919) % dopplers.echoes.len();
+            apart.push(of(dopplers.echoes[k]));
+        }
+        ping += 1;
     });
     let ratio = sum / weight;
     let p = kolmogorov(apart, |x| 0.5 * (1.0 + libm::erf(x / 2f64.sqrt())));
@@ -782,29 +782,19 @@ fn a_narrow_beam_behind_its_floor_hears_the_whole_second_echo() {
             sums: vec![Complex64::ZERO; 40],
         };
         let (mut sum, mut gathered) = (0.0, 0);
-        pool(2).expect("threads").install(|| {
-            let mut recorded = RecordedRig::open(&spec).expect("opens");
-            let mut slot = recorded.rig.slot(0);
-            for _ in 0..PINGS {
-                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
-                assert!(recorded.settle(sonar, &order));
-                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
-                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
-                gather(&mut recorded.rig, sonar, &mut slot);
-                let all = recorded.rig.scatterers();
-                gathered += all.of_scene();
-                let second = only(all, |out_m, back_m| {
-                    let (direct_m, image_m) = match reversed {
-                        true => (back_m, out_m),
-                        false => (out_m, back_m),
-                    };
-                    (direct_m - BOTTOM_M).abs() < 1e-6 && image_m > 2.0 * BOTTOM_M
-                });
-                // The floor itself leaves out the same of both.
-                let mut plan = slot.plan.clone();
-                plan.model.cull_db = Some(FLOOR_DB);
-                sum += sums.of(&spec, &plan, &second).iter().sum::<f64>();
-            }
+        gather_pings(&spec, PINGS, |plan, all| {
+            gathered += all.of_scene();
+            let second = only(all, |out_m, back_m| {
+                let (direct_m, image_m) = match reversed {
+                    true => (back_m, out_m),
+                    false => (out_m, back_m),
+                };
+                (direct_m - BOTTOM_M).abs() < 1e-6 && image_m > 2.0 * BOTTOM_M
+            });
+            // The floor itself leaves out the same of both.
+            let mut plan = plan.clone();
+            plan.model.cull_db = Some(FLOOR_DB);
+            sum += sums.of(&spec, &plan, &second).iter().sum::<f64>();
         });
         (sum, gathered)
     };
@@ -848,23 +838,13 @@ fn thinned_images_keep_level_and_statistics() {
             sums: vec![Complex64::ZERO; 10],
         };
         let (mut intensities, mut images, mut direct) = (Vec::new(), 0, 0);
-        pool(2).expect("threads").install(|| {
-            let mut recorded = RecordedRig::open(&spec).expect("opens");
-            let mut slot = recorded.rig.slot(0);
-            for _ in 0..PINGS {
-                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
-                assert!(recorded.settle(sonar, &order));
-                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
-                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
-                gather(&mut recorded.rig, sonar, &mut slot);
-                let all = recorded.rig.scatterers();
-                let second = only(all, |out_m, back_m| {
-                    (out_m - BOTTOM_M).abs() < 1e-6 && back_m > 2.0 * BOTTOM_M
-                });
-                images += second.len();
-                direct += all.of_scene();
-                intensities.push(sums.of(&spec, &slot.plan, &second));
-            }
+        gather_pings(&spec, PINGS, |plan, all| {
+            let second = only(all, |out_m, back_m| {
+                (out_m - BOTTOM_M).abs() < 1e-6 && back_m > 2.0 * BOTTOM_M
+            });
+            images += second.len();
+            direct += all.of_scene();
+            intensities.push(sums.of(&spec, plan, &second));
         });
         (intensities, images as f64 / direct as f64)
     };
@@ -941,29 +921,19 @@ fn a_thinned_surface_keeps_its_level() {
             sums: vec![Complex64::ZERO; 44],
         };
         let (mut sum, mut count) = ([0.0; 2], 0);
-        pool(2).expect("threads").install(|| {
-            let mut recorded = RecordedRig::open(&spec).expect("opens");
-            let mut slot = recorded.rig.slot(0);
-            for _ in 0..PINGS {
-                let (sonar, order) = recorded.next_order(PINGS).expect("an order");
-                assert!(recorded.settle(sonar, &order));
-                let (mode, utc) = (spec.nav.mode, order.transmit_utc);
-                motion(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("motion");
-                gather(&mut recorded.rig, sonar, &mut slot);
-                let all = recorded.rig.scatterers();
-                let mut surface = Scatterers {
-                    moving: all.moving.clone(),
-                    ..Scatterers::default()
-                };
-                for i in all.of_scene()..all.len() {
-                    surface.push_copy(all, i, 1.0);
-                }
-                count += surface.len() + surface.moving.len();
-                // Before the bottom echo, and with it.
-                let cells = sums.of(&spec, &slot.plan, &surface);
-                sum[0] += cells[..19].iter().sum::<f64>();
-                sum[1] += cells[19..].iter().sum::<f64>();
+        gather_pings(&spec, PINGS, |plan, all| {
+            let mut surface = Scatterers {
+                moving: all.moving.clone(),
+                ..Scatterers::default()
+            };
+            for i in all.of_scene()..all.len() {
+                surface.push_copy(all, i, 1.0);
             }
+            count += surface.len() + surface.moving.len();
+            // Before the bottom echo, and with it.
+            let cells = sums.of(&spec, plan, &surface);
+            sum[0] += cells[..19].iter().sum::<f64>();
+            sum[1] += cells[19..].iter().sum::<f64>();
         });
         (sum, count)
     };

@@ -36,7 +36,7 @@ fn linear(c_m_per_s: f64, gradient_per_s: f64, deepest_m: f64) -> Arc<SoundSpeed
     Arc::new(SoundSpeedProfile::new(points.to_vec()).expect("sound"))
 }
 
-fn water(profile: &Arc<SoundSpeedProfile>, array_m: DVec3) -> Refraction {
+pub(crate) fn water(profile: &Arc<SoundSpeedProfile>, array_m: DVec3) -> Refraction {
     Refraction {
         profile: profile.clone(),
         array_m,

@@ -4,11 +4,13 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use echotank_core::ping::{Reflections, Refraction};
+use echotank_core::ping::Reflections;
 use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_synthesis::echo::rays::virtual_point_error;
 use echotank_synthesis::echo::reflected_rays::{BottomPlane, Reflected, ReflectedRays};
 use echotank_testing::echo::*;
+
+use crate::rays::water;
 
 /// A warm layer, a thermocline, and warmer water at the bottom.
 const CAST: [(f64, f64); 5] = [
@@ -27,15 +29,6 @@ fn layered() -> Arc<SoundSpeedProfile> {
 fn linear(gradient_per_s: f64) -> Arc<SoundSpeedProfile> {
     let points = [0.0, 60.0].map(|z| (z, 1500.0 + gradient_per_s * z));
     Arc::new(SoundSpeedProfile::new(points.to_vec()).expect("sound"))
-}
-
-fn water(profile: &Arc<SoundSpeedProfile>, array_m: DVec3) -> Refraction {
-    Refraction {
-        profile: profile.clone(),
-        array_m,
-        floor_m: SoundSpeedProfile::MAX_DEPTH_M,
-        reflections: None,
-    }
 }
 
 /// A layer of one gradient: its depths, and speed and gradient at the upper one.
