@@ -125,12 +125,13 @@ pub(super) fn phase_rad(v: Complex32) -> f32 {
 
 /// Appends one side-scan line. Returns the number of clipped values.
 pub fn line(volts: &[f32], full_scale_v: f64, into: &mut Vec<u16>) -> u64 {
-    let scale = (MAGNITUDE_FULL_SCALE / full_scale_v) as f32;
+    // In double precision, as readers compute it: single precision moves values near a half count to the other integer.
+    let scale = MAGNITUDE_FULL_SCALE / full_scale_v;
     let mut saturated = 0;
     into.extend(volts.iter().map(|&v| {
-        let (counts, held) = magnitude(v * scale, MAGNITUDE_FULL_SCALE);
-        saturated += u64::from(held);
-        counts
+        let counts = f64::from(v) * scale;
+        saturated += u64::from(!(0.0..MAGNITUDE_FULL_SCALE + 0.5).contains(&counts));
+        low_bits((counts + 0.5).floor().clamp(0.0, MAGNITUDE_FULL_SCALE))
     }));
     saturated
 }
@@ -213,6 +214,21 @@ mod tests {
             (out.as_slice(), saturated),
             (&[0, 16384, 65535, 65535, 0][..], 2)
         );
+    }
+
+    #[test]
+    fn lines_round_as_double_precision_does_around_every_half_count() {
+        let scale_v = 1.3;
+        let volts: Vec<f32> = (0..65535)
+            .map(|k| ((f64::from(k) + 0.5) / 65535.0 * scale_v) as f32)
+            .flat_map(|v| [v.next_down(), v, v.next_up()])
+            .collect();
+        let mut out = Vec::new();
+        assert_eq!(line(&volts, scale_v, &mut out), 0);
+        for (&v, &got) in volts.iter().zip(&out) {
+            let want = (f64::from(v) / scale_v * 65535.0).round();
+            assert_eq!(f64::from(got), want, "{v}");
+        }
     }
 
     #[test]
