@@ -44,13 +44,17 @@ const MIN_SLAB: usize = 192;
 const MAX_SLAB: usize = 8192;
 /// Samples of a slab of which a few columns fit the second-level cache.
 const CACHED_SLAB: f64 = 768.0;
-/// Costs, nanoseconds of one core: per echo; per echo and node; per echo and block; per row of it; per tap of a row. Fitted to `tools/bench rates` with
-/// AVX-512 on lines of 8, 16 and 256 elements (`board`, `surveyor240`, `seabat`, `wbms`).
-const ECHO_NS: f64 = 330.0;
-const NODE_NS: f64 = 18.0;
-const BLOCK_NS: f64 = 25.0;
-const ROW_NS: f64 = 3.1;
-const TAP_NS: f64 = 2.5;
+/// Costs, nanoseconds of one core: per echo; per echo and node; per echo and block; per row of it; per tap of a row. Set between two processors with
+/// AVX-512 by `tools/bench rates` on lines of 8, 16, 20 and 256 elements (`board`, `surveyor240`, `sidescan455`, `seabat`, `wbms`): an AMD EPYC (Zen 4)
+/// needs 0.6 to 0.9 times as much.
+const ECHO_NS: f64 = 190.0;
+const NODE_NS: f64 = 15.0;
+const BLOCK_NS: f64 = 20.0;
+const ROW_NS: f64 = 2.0;
+const TAP_NS: f64 = 1.6;
+/// Grids of more bytes leave the second-level cache: rows and taps then cost so much more for every doubling.
+const CACHED_GRID: f64 = 512.0 * 1024.0;
+const UNCACHED: f64 = 0.4;
 /// What a narrow block saves of a wide one, whose vectors are twice as wide.
 const NARROW_SAVES: f64 = 0.45;
 /// Per row of a column's transform and log2 of the rows; per sample and element of the output.
@@ -159,8 +163,11 @@ pub struct Design {
 /// What a ping costs apart from its echoes and their Dopplers.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
-    /// Per echo, nanoseconds; its nodes cost [`NODE_NS`] each.
+    /// Per echo, nanoseconds, and for its rows and taps; its nodes cost [`NODE_NS`] each.
     echo_ns: f64,
+    rows_ns: f64,
+    /// Of one column of one block's grid.
+    column_bytes: f64,
     /// All transforms of one column, those that any ping has, and the samples, nanoseconds.
     column_ns: f64,
     fixed_ns: f64,
@@ -177,8 +184,10 @@ impl Effort {
             false => 1.0,
             true => self.taps + stretch(differ_m_per_s, self.sound_speed_m_per_s) / self.step,
         };
+        let grid = columns * self.column_bytes;
+        let uncached = 1.0 + UNCACHED * (grid / CACHED_GRID).log2().max(0.0);
         CostEstimate {
-            echoes_ns: echoes * self.echo_ns,
+            echoes_ns: echoes * (self.echo_ns + uncached * self.rows_ns),
             grids_ns: columns * self.column_ns + self.fixed_ns,
         }
     }
@@ -429,11 +438,12 @@ impl Design {
             };
             let effort = |columns: &Columns| {
                 let row_ns = ROW_NS + TAP_NS * columns.taps as f64;
-                let of_block = BLOCK_NS + rows * row_ns;
                 let count = (samples + 2 * extent).div_ceil(payload) as f64;
                 let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
                 Effort {
-                    echo_ns: ECHO_NS + blocks * of_block,
+                    echo_ns: ECHO_NS + blocks * BLOCK_NS,
+                    rows_ns: blocks * rows * row_ns,
+                    column_bytes: (slab_rows * 2 * LANES * size_of::<f32>()) as f64,
                     column_ns: blocks * count * transform(slab_rows),
                     fixed_ns: blocks * count * transform(slab_samples)
                         + SAMPLE_NS * array.elements as f64 * samples as f64,
