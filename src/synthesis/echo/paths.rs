@@ -167,6 +167,28 @@ impl Leg {
         self.origin_m + self.velocity_m_per_s * (time_s - self.start_s)
     }
 
+    /// Sets the velocities and accelerations for the Doppler at `times_s`, of those that are not before `from_s`.
+    #[inline(always)]
+    fn move_from(&self, from_s: f64, times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
+        let (v, a) = (
+            self.doppler.velocity_m_per_s.to_array(),
+            self.doppler.acceleration_m_per_s2.to_array(),
+        );
+        let n = times_s.len().min(CHUNK);
+        for axis in 0..3 {
+            for i in 0..n {
+                let value = v[axis] + a[axis] * (times_s[i] - self.start_s);
+                let is_here = times_s[i] >= from_s;
+                moving[axis][i] = if is_here { value } else { moving[axis][i] };
+                moving[3 + axis][i] = if is_here {
+                    a[axis]
+                } else {
+                    moving[3 + axis][i]
+                };
+            }
+        }
+    }
+
     /// Velocity of the path in array axes.
     pub(crate) fn velocity_in_array_m_per_s(&self) -> DVec3 {
         self.array_from_world * self.velocity_m_per_s
@@ -390,19 +412,10 @@ impl ElementTrack {
     ) {
         let n = times_s.len().min(CHUNK);
         let (min_s, greatest_s) = min_max(&times_s[..n]);
-        let (first, leg) = self.leg_at(min_s);
+        let (first, _) = self.leg_at(min_s);
         let (last, _) = self.leg_at(greatest_s);
-        if plan.model.path != PathModel::Continuous && first == last {
-            let (v, a) = (
-                leg.doppler.velocity_m_per_s.to_array(),
-                leg.doppler.acceleration_m_per_s2.to_array(),
-            );
-            for axis in 0..3 {
-                for (moving, time_s) in moving[axis][..n].iter_mut().zip(times_s) {
-                    *moving = v[axis] + a[axis] * (time_s - leg.start_s);
-                }
-                moving[3 + axis][..n].fill(a[axis]);
-            }
+        if plan.model.path != PathModel::Continuous && last - first < MAX_LEGS_OF_MOTION {
+            motions_on(&self.legs[first..=last], &times_s[..n], moving);
             return;
         }
         for (i, &time_s) in times_s[..n].iter().enumerate() {
@@ -438,6 +451,20 @@ impl ElementTrack {
             acceleration_m_per_s2,
         }
     }
+}
+
+/// Motions for the Doppler at `times_s` on legs that follow each other, the first of which has begun.
+fn motions_on(legs: &[Leg], times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
+    widest(
+        #[inline(always)]
+        || {
+            let mut from_s = f64::NEG_INFINITY;
+            for (leg, next) in legs.iter().zip(1..) {
+                leg.move_from(from_s, times_s, moving);
+                from_s = legs.get(next).map_or(f64::INFINITY, |leg| leg.start_s);
+            }
+        },
+    );
 }
 
 /// Smallest and largest value, vectorised. NaN is ignored.
@@ -683,6 +710,8 @@ fn solve_leg<const ALONE: bool>(
 pub const PART: usize = 32;
 /// Maximum number of legs that are solved by the whole batch.
 const FEW_LEGS: usize = 2;
+/// Motions of a batch that spans at most so many legs are computed leg by leg, all scatterers at once.
+const MAX_LEGS_OF_MOTION: usize = 8;
 
 /// Computes delays and receive rays of a batch. Each scatterer uses the first leg k with t_k <= u <
 /// t_{k+1}.
@@ -794,7 +823,7 @@ mod tests {
     use echotank_core::simd::SimdLevel;
 
     #[test]
-    fn every_build_gives_the_same_bits() {
+    fn every_build_gives_the_same_bits_and_motions_are_those_of_the_leg() {
         let turn = DQuat::from_rotation_x(0.3) * DQuat::from_rotation_z(1.1);
         let leg = Leg {
             start_s: 0.04,
@@ -850,6 +879,35 @@ mod tests {
                 rays.closing_m2_per_s,
             ];
             (placed, odd, solved.map(|a| a.map(f64::to_bits)))
+        }
+        // Each time has the motion of the last leg that has begun.
+        let legs = [0.0, 0.04, 0.08].map(|start_s| {
+            let more = DVec3::splat(start_s);
+            let doppler = Motion {
+                velocity_m_per_s: leg.doppler.velocity_m_per_s + more,
+                acceleration_m_per_s2: leg.doppler.acceleration_m_per_s2 - more,
+            };
+            Leg {
+                start_s,
+                doppler,
+                ..leg
+            }
+        });
+        let mut times_s: Vec<f64> = (0..CHUNK)
+            .map(|k| (0.618 * k as f64).fract() * 0.12)
+            .collect();
+        times_s[..3].copy_from_slice(&[0.04, 0.08, 0.08f64.next_down()]);
+        let mut moving = [[f64::NAN; CHUNK]; 6];
+        motions_on(&legs, &times_s, &mut moving);
+        for (i, &time_s) in times_s.iter().enumerate() {
+            let leg = legs.iter().rev().find(|leg| leg.start_s <= time_s);
+            let leg = leg.expect("the first begins at 0");
+            let Motion {
+                velocity_m_per_s,
+                acceleration_m_per_s2: a,
+            } = leg.doppler;
+            let v = velocity_m_per_s + a * (time_s - leg.start_s);
+            assert_eq!(moving.map(|m| m[i]), [v.x, v.y, v.z, a.x, a.y, a.z]);
         }
         // A single leg gives the same result as the same leg among others, except for the sign of
         // zero.

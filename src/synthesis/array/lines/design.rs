@@ -18,7 +18,7 @@ use echotank_core::simd::SimdLevel;
 
 use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
-use super::nodes::{NODES, NodeCounts, gain_error, interpolation_error_m};
+use super::nodes::{NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places};
 use super::spread::{LANES, NARROW};
 use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
 
@@ -64,6 +64,10 @@ const SAMPLE_NS: f64 = 6.0;
 const FARTHEST: f64 = 1e4;
 const NEARER: f64 = 0.9;
 const RANGES: i32 = 120;
+/// Of the error of interpolated delays, the share that is left where squares of receive legs are interpolated: so much, and so many times the speed of the
+/// platform over that of sound.
+const COARSE_SHARE: f64 = 0.02;
+const COARSE_PER_MACH: f64 = 4.0;
 /// Speed that echoes typically differ by with their side lobes, m/s, and nodes along a line, for the cost.
 const TYPICAL_M_PER_S: f64 = 6.0;
 const TYPICAL_NODES: f64 = 5.0;
@@ -155,6 +159,8 @@ pub struct Design {
     pub(super) guard: usize,
     /// Largest error of a path length along the line, metres.
     pub(super) path_m: f64,
+    /// Of this error, the share that is left with [`coarse`] nodes.
+    coarse_share: f64,
     wavelength_m: f64,
     error_model: ErrorModel,
     effort: Effort,
@@ -506,6 +512,7 @@ impl Design {
                     extent,
                     guard,
                     path_m: path_error * c / (TAU * carrier_hz),
+                    coarse_share: COARSE_SHARE + COARSE_PER_MACH * spec.fastest_m_per_s / c,
                     wavelength_m: c / carrier_hz,
                     error_model: ErrorModel {
                         name: "gridded-lines",
@@ -539,12 +546,22 @@ impl Design {
 
     /// Nodes along `array` for scatterers at `nearest_m` and beyond; none if no number is enough.
     pub fn nodes(&self, array: &ArrayGeometry, nearest_m: f64) -> Option<usize> {
-        let enough = |counts: &&NodeCounts| self.interpolates(**counts, array, nearest_m);
+        let enough = |counts: &&NodeCounts| {
+            let places: Vec<f64> = places(counts.delays).collect();
+            self.interpolates(&places, 1.0, counts.gains, array, nearest_m)
+        };
         NODES.iter().find(enough).map(|counts| counts.delays)
     }
 
-    /// Whether so many nodes along `array` are enough at `range_m` and beyond.
-    fn interpolates(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> bool {
+    /// Whether delays at `places` along `array`, of whose error a share is left, and gains at so many of them, are enough at `range_m` and beyond.
+    fn interpolates(
+        &self,
+        places: &[f64],
+        share: f64,
+        gains: usize,
+        array: &ArrayGeometry,
+        range_m: f64,
+    ) -> bool {
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let block_m = (LANES as f64 * array.spacing_m).min(2.0 * half_m);
         let element_m = match array.element_pattern {
@@ -552,22 +569,40 @@ impl Design {
             Pattern::Omnidirectional | Pattern::Part { .. } => 0.0,
         };
         let of = [element_m, self.wavelength_m];
-        let gain_error = gain_error(counts.gains, of, half_m, block_m, range_m);
+        let gain_error = gain_error(gains, of, half_m, block_m, range_m);
         let as_path_m = gain_error * self.wavelength_m / TAU;
-        let path_m = interpolation_error_m(counts.delays, half_m, block_m, range_m);
+        let [along_m, block_m] = interpolation_errors_m(places, half_m, block_m, range_m);
+        let path_m = share * along_m + block_m;
         path_m.hypot(as_path_m) <= self.path_m
+    }
+
+    /// Range from which on `places` and so many gains are enough along `array`, metres; infinite if they never are.
+    fn enough_from_m(
+        &self,
+        places: &[f64],
+        share: f64,
+        gains: usize,
+        array: &ArrayGeometry,
+    ) -> f64 {
+        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+        let fits = |range_m: &f64| self.interpolates(places, share, gains, array, *range_m);
+        let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
+        ranges_m.take_while(fits).last().unwrap_or(f64::INFINITY)
     }
 
     /// Range from which on each of [`NODES`] is enough along `array`, metres; infinite if none is.
     pub(super) fn near_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
-        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         NODES.map(|counts| {
-            let fits = |range_m| self.interpolates(counts, array, range_m);
-            let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
-            ranges_m
-                .take_while(|&range_m| fits(range_m))
-                .last()
-                .unwrap_or(f64::INFINITY)
+            let places: Vec<f64> = places(counts.delays).collect();
+            self.enough_from_m(&places, 1.0, counts.gains, array)
+        })
+    }
+
+    /// The same of the [`coarse`] ones among them, between which the squares of receive legs are interpolated.
+    pub(super) fn coarse_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
+        NODES.map(|counts| {
+            let places: Vec<f64> = places(counts.delays).collect();
+            self.enough_from_m(&coarse(&places), self.coarse_share, 3, array)
         })
     }
 }

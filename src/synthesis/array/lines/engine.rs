@@ -59,6 +59,8 @@ pub struct GriddedLines {
     models_curvature: bool,
     /// Smallest range at which each of [`NODES`] is enough, metres.
     near_m: [f64; NODES.len()],
+    /// Range from which on the first, the middle and the last of them are enough, metres.
+    coarse_m: [f64; NODES.len()],
     /// Row of the transformed spectrum that holds each sample.
     row_of_sample: Vec<u32>,
     state: State,
@@ -83,7 +85,7 @@ struct State {
     /// Energy by part of a slab and column; the parts are as long as a part of the pulse.
     energy: Vec<f32>,
     outputs: Vec<Aligned>,
-    geometry: Vec<Mutex<(NodeWorkspace, Box<NodeBatch>)>>,
+    geometry: Vec<Mutex<Solving>>,
     work: Vec<Mutex<Work>>,
 }
 
@@ -93,6 +95,13 @@ struct Work {
     located: Box<Located>,
     grid: Aligned,
     scratch: Aligned,
+}
+
+/// Buffers of one thread while it solves echoes at the nodes.
+#[derive(Default)]
+struct Solving {
+    work: NodeWorkspace,
+    solved: Box<NodeBatch>,
 }
 
 /// Stored geometry of [`CHUNK`] scatterers.
@@ -153,6 +162,7 @@ impl GriddedLines {
         let templates = templates(spec, &design, filter, &numbers);
         let array = spec.array;
         let near_m = design.near_m(array);
+        let coarse_m = design.coarse_m(array);
         Ok(Self {
             simd_level: spec.simd_level,
             array: spec.array.clone(),
@@ -166,6 +176,7 @@ impl GriddedLines {
             models_curvature: spec.doppler == DopplerModel::StretchQuadratic
                 && design.columns.taps > 2,
             near_m,
+            coarse_m,
             row_of_sample,
             design,
             state: State::default(),
@@ -275,10 +286,12 @@ impl GriddedLines {
         let nearest_m = NodeTracks::nearest_m(transmit_leg);
         let near_m = self.near_m;
         let enough = (0..NODES.len()).find(|&k| nearest_m >= near_m[k]);
+        let selected = enough.unwrap_or(NODES.len() - 1);
         let NodeCounts {
             delays: count,
             gains,
-        } = NODES[enough.unwrap_or(NODES.len() - 1)];
+        } = NODES[selected];
+        let coarse_m = self.coarse_m[selected];
         let (per_s, slabs) = (self.rows_per_s(), self.slab_count(plan));
         let Design {
             payload,
@@ -342,55 +355,51 @@ impl GriddedLines {
                 let mut work = geometry[thread]
                     .lock()
                     .unwrap_or_else(PoisonError::into_inner);
-                let (work, solved) = &mut *work;
-                batch.counts = tracks.batch(plan, array, transmit_leg, b, work, solved);
-                let chunk = &mut batch.chunk;
-                chunk.len = solved.len;
-                let middles = &solved.middle_s[count / 2];
-                widest(
+                let Solving { work, solved } = &mut *work;
+                let is_coarse = NodeTracks::nearest_of_batch_m(transmit_leg, b) >= coarse_m;
+                batch.counts = tracks.batch(plan, array, transmit_leg, b, is_coarse, work, solved);
+                let Batch { chunk, bucket, .. } = batch;
+                let beyond = widest(
                     #[inline(always)]
-                    || expand(&matrix, &solved.middle_s[..count], per_s, chunk),
-                );
-                for k in 0..gains {
-                    for i in 0..CHUNK {
-                        chunk.gain[k][i] = solved.gain[k][i] as f32;
-                        chunk.doppler[k][i] = (solved.doppler[k][i] * per_step) as f32;
-                    }
-                }
-                for i in 0..CHUNK {
-                    chunk.re[i] = solved.amplitude[i].re as f32;
-                    chunk.im[i] = solved.amplitude[i].im as f32;
-                }
-                if models_curvature {
-                    for i in 0..CHUNK {
-                        chunk.curvature_rad[i] =
-                            (solved.curvature_per_s[i] * rad_per_curvature) as f32;
-                        // The mean over the pulse; the weights of the columns do the rest.
-                        let x = MEAN_CURVATURE as f32 * chunk.curvature_rad[i];
-                        let (sine, cosine) = (x - x * x * x / 6.0, 1.0 - 0.5 * x * x);
-                        let (re, im) = (chunk.re[i], chunk.im[i]);
-                        chunk.re[i] = re * cosine - im * sine;
-                        chunk.im[i] = re * sine + im * cosine;
-                    }
-                }
-                let most = (reach + 1) as f32;
-                let mut beyond = 0;
-                for (i, middle_s) in middles.iter().enumerate() {
-                    let after_s = middle_s - first_middle_s;
-                    let slab = (after_s * per_payload).floor();
-                    let inside = solved.keep[i] && slab >= 0.0 && slab < slabs as f64;
-                    batch.bucket[i] = match inside && i < solved.len {
-                        true => {
-                            let rest_s = after_s - slab / per_payload;
-                            let bucket = (rest_s * buckets_per_s).max(0.0) as usize;
-                            (slab as usize * buckets + bucket.min(buckets - 1)) as u32
+                    || {
+                        chunk.len = solved.len;
+                        expand(&matrix, &solved.middle_s[..count], per_s, chunk);
+                        for k in 0..gains {
+                            for i in 0..CHUNK {
+                                chunk.gain[k][i] = solved.gain[k][i] as f32;
+                                chunk.doppler[k][i] = (solved.doppler[k][i] * per_step) as f32;
+                            }
                         }
-                        false => NOWHERE,
-                    };
-                    let fast = chunk.doppler[gains / 2][i].abs() > most
-                        || models_curvature && chunk.curvature_rad[i].abs() > max_curvature_rad;
-                    beyond += u64::from(inside && i < solved.len && (fast || enough.is_none()));
-                }
+                        for i in 0..CHUNK {
+                            chunk.re[i] = solved.amplitude[i].re as f32;
+                            chunk.im[i] = solved.amplitude[i].im as f32;
+                        }
+                        if models_curvature {
+                            let curvature_per_s = &solved.curvature_per_s;
+                            turn_by_mean_curvature(chunk, curvature_per_s, rad_per_curvature);
+                        }
+                        let most = (reach + 1) as f32;
+                        let middles = &solved.middle_s[count / 2];
+                        let mut beyond = 0;
+                        for i in 0..CHUNK {
+                            let after_s = middles[i] - first_middle_s;
+                            let slab = (after_s * per_payload).floor();
+                            let inside = solved.keep[i]
+                                & (slab >= 0.0)
+                                & (slab < slabs as f64)
+                                & (i < solved.len);
+                            let rest_s = after_s - slab / per_payload;
+                            let at = (rest_s * buckets_per_s).max(0.0).min((buckets - 1) as f64);
+                            let all = (slab * buckets as f64 + at.floor()) as u32;
+                            bucket[i] = if inside { all } else { NOWHERE };
+                            let fast = (chunk.doppler[gains / 2][i].abs() > most)
+                                | (models_curvature
+                                    & (chunk.curvature_rad[i].abs() > max_curvature_rad));
+                            beyond += u64::from(inside & (fast | enough.is_none()));
+                        }
+                        beyond
+                    },
+                );
                 batch.counts.beyond_engine = beyond * array.elements as u64;
             });
         let mut counts = EchoCounts::default();
@@ -770,6 +779,24 @@ fn expand(
                 }
             }
         }
+    }
+}
+
+/// Sets the phases at the ends of the pulse from the change of the Doppler, and turns amplitudes by the mean over the pulse; the weights of the columns
+/// do the rest.
+#[inline(always)]
+fn turn_by_mean_curvature(
+    chunk: &mut EchoChunk,
+    curvature_per_s: &[f64; CHUNK],
+    rad_per_curvature: f64,
+) {
+    for i in 0..CHUNK {
+        chunk.curvature_rad[i] = (curvature_per_s[i] * rad_per_curvature) as f32;
+        let x = MEAN_CURVATURE as f32 * chunk.curvature_rad[i];
+        let (sine, cosine) = (x - x * x * x / 6.0, 1.0 - 0.5 * x * x);
+        let (re, im) = (chunk.re[i], chunk.im[i]);
+        chunk.re[i] = re * cosine - im * sine;
+        chunk.im[i] = re * sine + im * cosine;
     }
 }
 

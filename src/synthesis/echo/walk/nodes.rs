@@ -7,6 +7,7 @@ use crate::arrivals::CHUNK;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::simd::widest;
 
 use super::{
     Complex64, ElementTrack, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, expand_mid_pulse,
@@ -24,6 +25,8 @@ pub struct NodeTracks {
     tracks: Vec<ElementTrack>,
     /// Interpolation weights of the gain nodes at every node.
     shares: [[f64; MAX_GAIN_NODES]; MAX_NODES],
+    /// Interpolation weights of the first, the middle and the last node at every node.
+    coarse_shares: [[f64; 3]; MAX_NODES],
     nodes: usize,
     gain_nodes: usize,
 }
@@ -111,13 +114,19 @@ impl NodeTracks {
         for (track, &along_m) in self.tracks.iter_mut().zip(along_m) {
             track.compute_at(plan, &transmit_leg.transmit, array, along_m);
         }
-        let at = |k| along_m[gain_node(k, gain_nodes, nodes)];
-        for (shares, &x) in self.shares.iter_mut().zip(along_m) {
-            for (k, share) in shares[..gain_nodes].iter_mut().enumerate() {
-                let others = (0..gain_nodes).filter(|&other| other != k);
-                *share = others
-                    .map(|other| (x - at(other)) / (at(k) - at(other)))
-                    .product();
+        let shares = |of: usize, k: usize, x: f64| -> f64 {
+            let at = |k| along_m[gain_node(k, of, nodes)];
+            let others = (0..of).filter(|&other| other != k);
+            others
+                .map(|other| (x - at(other)) / (at(k) - at(other)))
+                .product()
+        };
+        for (node, &x) in along_m.iter().enumerate() {
+            for (k, share) in self.shares[node][..gain_nodes].iter_mut().enumerate() {
+                *share = shares(gain_nodes, k, x);
+            }
+            for (k, share) in self.coarse_shares[node].iter_mut().enumerate() {
+                *share = shares(3, k, x);
             }
         }
     }
@@ -134,13 +143,23 @@ impl NodeTracks {
         nearest_m.fold(receive_m, f64::min)
     }
 
-    /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`.
+    /// Shortest leg from or to a scatterer of batch `b`, metres.
+    pub fn nearest_of_batch_m(transmit_leg: &TransmitLeg, b: usize) -> f64 {
+        let receive_m = transmit_leg.nearest_receive_m.unwrap_or(f64::INFINITY);
+        transmit_leg.batch_range_m[b].0.min(receive_m)
+    }
+
+    /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`. With `is_coarse`, they are computed at
+    /// the first, the middle and the last node, and interpolated at the others: stretches, gains, and the squares of receive legs. On a line at rest these
+    /// squares are quadratic exactly; motion leaves about v/c of the error that delays would have.
+    #[allow(clippy::too_many_arguments)]
     pub fn batch(
         &self,
         plan: &PingPlan,
         array: &ArrayGeometry,
         transmit_leg: &TransmitLeg,
         b: usize,
+        is_coarse: bool,
         work: &mut NodeWorkspace,
         out: &mut NodeBatch,
     ) -> EchoCounts {
@@ -157,7 +176,8 @@ impl NodeTracks {
         let middle = self.nodes / 2;
         // Time from the leading edge to the arrival of mid-pulse, at the gain nodes.
         let mut after_s = [[0.0; CHUNK]; MAX_GAIN_NODES];
-        for (node, track) in self.tracks[..self.nodes].iter().enumerate() {
+        let step = if is_coarse { middle } else { 1 };
+        for (node, track) in self.tracks[..self.nodes].iter().enumerate().step_by(step) {
             let odd = solve(track, c, batch, rays);
             if plan.model.path == PathModel::Continuous {
                 refine(plan, &transmit_leg.transmit, track, batch, rays);
@@ -173,15 +193,22 @@ impl NodeTracks {
             } else {
                 received.curvature_per_s[..n].fill(0.0);
             }
-            for (i, after_s) in after_s[k][..n].iter_mut().enumerate() {
-                // (1 + doppler) s + curvature s^2 = T/2, without cancellation.
-                let rate = 1.0 + received.doppler[i];
-                let curvature = received.curvature_per_s[i];
-                let root = (rate * rate + 4.0 * curvature * half_s).max(0.0).sqrt();
-                let s = 2.0 * half_s / (rate + root);
-                *after_s = rays.delay_s[i] - out.middle_s[node][i] + s;
-                out.doppler[k][i] = received.doppler[i] + 2.0 * curvature * s;
-            }
+            let (middle_s, doppler) = (&out.middle_s[node], &mut out.doppler[k]);
+            let after_s = &mut after_s[k];
+            widest(
+                #[inline(always)]
+                || {
+                    for i in 0..n.min(CHUNK) {
+                        // (1 + doppler) s + curvature s^2 = T/2, without cancellation.
+                        let rate = 1.0 + received.doppler[i];
+                        let curvature = received.curvature_per_s[i];
+                        let root = (rate * rate + 4.0 * curvature * half_s).max(0.0).sqrt();
+                        let s = 2.0 * half_s / (rate + root);
+                        after_s[i] = rays.delay_s[i] - middle_s[i] + s;
+                        doppler[i] = received.doppler[i] + 2.0 * curvature * s;
+                    }
+                },
+            );
             out.gain[k][..n].copy_from_slice(&received.gain[..n]);
             if node == middle {
                 out.curvature_per_s = received.curvature_per_s;
@@ -199,6 +226,34 @@ impl NodeTracks {
                 }
             }
         }
+        if is_coarse {
+            let gain_of = |node: usize| node * (self.gain_nodes - 1) / (self.nodes - 1);
+            let coarse = [0, middle, self.nodes - 1];
+            for node in coarse {
+                let after_s = &after_s[gain_of(node)][..n];
+                for (middle_s, after_s) in out.middle_s[node][..n].iter_mut().zip(after_s) {
+                    *middle_s += after_s;
+                }
+            }
+            let between = |node: &usize| !coarse.contains(node);
+            for node in (0..self.nodes).filter(between) {
+                let shares = &self.coarse_shares[node];
+                interpolate_delays(
+                    &mut out.middle_s,
+                    [c, half_s],
+                    batch.range_m,
+                    coarse,
+                    node,
+                    shares,
+                );
+                if (node * (self.gain_nodes - 1)).is_multiple_of(self.nodes - 1) {
+                    let coarse = coarse.map(gain_of);
+                    interpolate(&mut out.doppler, n, coarse, gain_of(node), shares);
+                    interpolate(&mut out.gain, n, coarse, gain_of(node), shares);
+                }
+            }
+            return counts;
+        }
         for (middle_s, shares) in out.middle_s[..self.nodes].iter_mut().zip(&self.shares) {
             for (share, after_s) in shares.iter().zip(&after_s[..self.gain_nodes]) {
                 for (middle_s, after_s) in middle_s[..n].iter_mut().zip(after_s) {
@@ -213,4 +268,55 @@ impl NodeTracks {
     pub fn count(&self) -> usize {
         self.nodes
     }
+}
+
+/// Sets the first `n` values of `node` to sums of those of the nodes `from`.
+fn interpolate(
+    values: &mut [[f64; CHUNK]],
+    n: usize,
+    from: [usize; 3],
+    node: usize,
+    shares: &[f64; 3],
+) {
+    let Ok([to, first, middle, last]) = values.get_disjoint_mut([node, from[0], from[1], from[2]])
+    else {
+        return;
+    };
+    widest(
+        #[inline(always)]
+        || {
+            for i in 0..n.min(CHUNK) {
+                to[i] = shares[0] * first[i] + shares[1] * middle[i] + shares[2] * last[i];
+            }
+        },
+    );
+}
+
+/// Sets the delays of `node` such that the squares of its receive legs are sums of those of the nodes `from`. `first_m`: lengths of the transmit legs.
+fn interpolate_delays(
+    middle_s: &mut [[f64; CHUNK]],
+    [c, half_s]: [f64; 2],
+    first_m: &[f64],
+    from: [usize; 3],
+    node: usize,
+    shares: &[f64; 3],
+) {
+    let Ok([to, first, middle, last]) =
+        middle_s.get_disjoint_mut([node, from[0], from[1], from[2]])
+    else {
+        return;
+    };
+    widest(
+        #[inline(always)]
+        || {
+            for i in 0..first_m.len().min(CHUNK) {
+                let before_s = first_m[i] / c + half_s;
+                let square = |at_s: f64| (at_s - before_s) * (at_s - before_s);
+                let sum = shares[0] * square(first[i])
+                    + shares[1] * square(middle[i])
+                    + shares[2] * square(last[i]);
+                to[i] = before_s + sum.max(0.0).sqrt();
+            }
+        },
+    );
 }

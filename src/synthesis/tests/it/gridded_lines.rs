@@ -4,6 +4,7 @@ use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::DopplerModel;
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::lines::{Design, GriddedLines, Refusal, Spec};
+use echotank_synthesis::echo::walk::{NodeBatch, NodeTracks, NodeWorkspace};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -223,4 +224,57 @@ fn what_the_engine_cannot_keep_is_refused() {
     let mut one = short(SCENE, 0.4e-3, 0.0);
     one.rx.elements = 1;
     assert_eq!(refused(&one, 1e-2), Some(Refusal::OneElement));
+}
+
+/// Between three nodes the squares of receive legs are interpolated, which leaves the part of the error of delays that motion makes.
+#[test]
+fn squares_of_receive_legs_are_quadratic_along_the_line_but_for_motion() {
+    let velocity_m_per_s = DVec3::new(8.0, 3.0, 1.0);
+    let scene = short(
+        Draw {
+            velocity_m_per_s,
+            ..SCENE
+        },
+        5e-3,
+        30e3,
+    );
+    let (leg, _) = scene.transmit_leg();
+    let mach = velocity_m_per_s.length() / echotank_testing::echo::C;
+    for (nodes, gains) in [(5, 3), (5, 5), (7, 3), (9, 5)] {
+        let along_m: Vec<f64> = (0..nodes)
+            .map(|k| 0.5 * (2.0 * k as f64 / (nodes - 1) as f64 - 1.0))
+            .collect();
+        let mut tracks = NodeTracks::default();
+        tracks.compute(&scene.plan, &scene.rx, &leg, &along_m, gains);
+        let mut work = NodeWorkspace::default();
+        let [mut fine, mut coarse] = [(); 2].map(|()| Box::<NodeBatch>::default());
+        let (mut left, mut plain, mut stretch) = (0.0f64, 0.0f64, 0.0f64);
+        for b in 0..NodeTracks::batches(&leg) {
+            for (is_coarse, out) in [(false, &mut fine), (true, &mut coarse)] {
+                tracks.batch(&scene.plan, &scene.rx, &leg, b, is_coarse, &mut work, out);
+            }
+            assert_eq!((fine.len, fine.keep), (coarse.len, coarse.keep));
+            for i in 0..fine.len {
+                let at = |node: usize| fine.middle_s[node][i];
+                let middle = nodes / 2;
+                for node in 0..nodes {
+                    let x = 2.0 * along_m[node];
+                    let quadratic = at(middle)
+                        + 0.5 * x * (at(nodes - 1) - at(0))
+                        + 0.5 * x * x * (at(nodes - 1) + at(0) - 2.0 * at(middle));
+                    plain = plain.max((quadratic - at(node)).abs());
+                    left = left.max((coarse.middle_s[node][i] - at(node)).abs());
+                }
+                for k in 0..gains {
+                    stretch = stretch.max((coarse.doppler[k][i] - fine.doppler[k][i]).abs());
+                }
+            }
+        }
+        println!(
+            "{nodes} nodes: {left:.1e} s left of {plain:.1e} s, {:.1e}",
+            left / plain
+        );
+        assert!(left < (0.02 + 4.0 * mach) * plain && left > 0.0);
+        assert!(stretch < 1e-3 * mach, "{stretch:e}");
+    }
 }
