@@ -23,8 +23,11 @@
 //! In water whose sound speed changes with depth, the images are the virtual points of reflected rays (`reflected_rays`), with the grazing angles, levels and
 //! times of the rays.
 //!
+//! Relief and solids hide a scatterer from each leg on its own (`LegShadows`, along the mirror path). Scatterers that the sonar does not see directly have
+//! reflected legs only.
+//!
 //! A pair is left out where its pattern, coefficients included, is below the floor of the ping (`ModelChoice::cull_db`), or its path beyond the window. Not
-//! modelled: legs with more reflections, shadows of reflected legs.
+//! modelled: legs with more reflections.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -40,7 +43,7 @@ use echotank_core::ping::{PingPlan, Reflections, SceneCounts};
 use echotank_core::scene::{BaffledFace, Footprint, PatternSide, Scatterers};
 use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_scene::draws::{circular_gaussian, fraction, philox};
-use echotank_scene::{Ground, reflecting_bottom};
+use echotank_scene::{BottomWay, DirectSight, Ground, LegShadows, reflecting_bottom};
 use echotank_synthesis::echo::boundaries::{FluidBottom, Reflection, SeaSurface};
 use echotank_synthesis::echo::rays::VirtualPoints;
 use echotank_synthesis::echo::reflected_rays::{BottomPlane, Bounce, ReflectedRays};
@@ -51,8 +54,10 @@ const IMAGES: u32 = 0x1A6E_5EED;
 const TOGETHER: usize = 1024;
 /// Reflections of a leg, at most.
 const BENDS: usize = 2;
-/// Legs of a scatterer.
+/// Legs of a scatterer: the direct one and
 const LEGS: usize = 3;
+const BY_SURFACE: usize = 1;
+const BY_BOTTOM: usize = 2;
 /// Share of the mean square below which a part of an echo is left out.
 const LEAST_SHARE: f64 = 1e-6;
 /// Half length of the patch whose mean plane reflects, in depths of water, and at least, metres.
@@ -89,6 +94,8 @@ pub(crate) struct Multipath {
 #[derive(Default)]
 struct Block {
     legs: Vec<[Option<Leg>; LEGS]>,
+    /// Whether the sonar sees the scatterer by each leg, as far as known; empty where nothing hides anything.
+    seen: Vec<[Option<bool>; LEGS]>,
     images: Scatterers,
 }
 
@@ -104,6 +111,21 @@ struct Leg {
     /// Distances from the sonar, sines of the grazing angle, and rms slopes of the reflections, the first from the sonar on.
     bends: [Bend; BENDS],
     count: usize,
+}
+
+/// The straight path by bottom and surface, unfolded at the planes that reflect.
+#[derive(Clone, Copy, Debug)]
+struct MirrorPath {
+    plane: BottomPlane,
+    /// Half length of the patch of that plane, metres.
+    patch_m: f64,
+    image_m: DVec3,
+    /// Places of the reflections at bottom and surface.
+    bottom_m: DVec3,
+    surface_m: DVec3,
+    /// Their distances from the sonar along the path, metres, and the sines of their grazing angles.
+    along_m: [f64; 2],
+    sines: [f64; 2],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -146,6 +168,11 @@ impl Multipath {
     /// Replaces the sound-speed profile of the pings to come.
     pub(crate) fn set_profile(&mut self, profile: &Arc<SoundSpeedProfile>) {
         self.rays = Some(ReflectedRays::new(profile.clone()));
+    }
+
+    /// Depth of the mean surface, metres.
+    pub(crate) fn surface_down_m(&self) -> f64 {
+        self.surface_down_m
     }
 
     /// The boundaries that reflect.
@@ -197,7 +224,8 @@ impl Multipath {
     }
 
     /// Makes the reflected echoes of the scene's scatterers, after [`Self::widen`]. `array_m`: place of the sonar. `direct`: the virtual points of the ping, in
-    /// water that bends sound; the scatterers are still in their own places.
+    /// water that bends sound; the scatterers are still in their own places. `shadows`: those of its legs, with the scatterers that have no direct leg and the
+    /// number of those on the ground.
     pub(crate) fn make(
         &mut self,
         plan: &PingPlan,
@@ -205,9 +233,12 @@ impl Multipath {
         ground: Option<&Ground>,
         direct: Option<&VirtualPoints>,
         scatterers: &Scatterers,
+        shadows: Option<(LegShadows, (&Scatterers, usize))>,
     ) {
         let count = scatterers.of_scene();
-        let tasks = count.div_ceil(TOGETHER);
+        let tasks_seen = count.div_ceil(TOGETHER);
+        let hidden = shadows.map_or(0, |(_, (hidden, _))| hidden.len());
+        let tasks = tasks_seen + hidden.div_ceil(TOGETHER);
         let mut blocks = std::mem::take(&mut self.blocks);
         if blocks.len() < tasks {
             blocks.resize_with(tasks, Block::default);
@@ -215,6 +246,9 @@ impl Multipath {
         if let (Some(rays), Some(water)) = (&mut self.rays, &plan.refraction) {
             let below = scatterers.down_m[..count].iter().copied();
             let mut deepest_m = below.fold(array_m.z, f64::max);
+            if let Some((_, (hidden, _))) = shadows {
+                deepest_m = hidden.down_m.iter().copied().fold(deepest_m, f64::max);
+            }
             if let Some(altitude_m) = plan.sensor.altitude_m {
                 deepest_m = deepest_m.max(array_m.z + altitude_m);
             }
@@ -235,6 +269,7 @@ impl Multipath {
             refracted,
             wavenumber_per_m: TAU * plan.pulse.center_frequency_hz / plan.sound_speed_m_per_s,
             ground: ground.filter(|_| self.bottom.is_some()),
+            shadows: shadows.map(|(shadows, _)| shadows),
             key: [
                 self.seed as u32,
                 (self.seed >> 32) as u32 ^ plan.ping_number,
@@ -244,8 +279,26 @@ impl Multipath {
             .par_iter_mut()
             .enumerate()
             .for_each(|(task, block)| {
-                let rows = task * TOGETHER..((task + 1) * TOGETHER).min(count);
-                ping.fill(scatterers, rows, block);
+                let rows_of =
+                    |task: usize, count: usize| task * TOGETHER..((task + 1) * TOGETHER).min(count);
+                match task.checked_sub(tasks_seen).zip(shadows) {
+                    None => {
+                        let list = Listed {
+                            scatterers,
+                            first: 0,
+                            hidden_ground: None,
+                        };
+                        ping.fill(list, rows_of(task, count), block);
+                    }
+                    Some((task, (_, (scatterers, on_ground)))) => {
+                        let list = Listed {
+                            scatterers,
+                            first: count,
+                            hidden_ground: Some(on_ground),
+                        };
+                        ping.fill(list, rows_of(task, hidden), block);
+                    }
+                }
             });
         self.blocks = blocks;
         self.made = tasks;
@@ -273,17 +326,47 @@ struct PingGeometry<'a> {
     refracted: Option<(&'a ReflectedRays, &'a VirtualPoints)>,
     wavenumber_per_m: f64,
     ground: Option<&'a Ground>,
+    /// Where something may hide a scatterer.
+    shadows: Option<LegShadows<'a>>,
     key: [u32; 2],
 }
 
+/// Scatterers that a task looks at.
+#[derive(Clone, Copy)]
+struct Listed<'a> {
+    scatterers: &'a Scatterers,
+    /// Number of scatterers in the lists before it.
+    first: usize,
+    /// Of those that have no direct leg: how many, the first, lie on the ground.
+    hidden_ground: Option<usize>,
+}
+
+impl Listed<'_> {
+    fn sight(&self, i: usize) -> DirectSight {
+        match self.hidden_ground {
+            None => DirectSight::Seen,
+            Some(on_ground) if i < on_ground => DirectSight::HiddenGround,
+            Some(_) => DirectSight::HiddenObject,
+        }
+    }
+}
+
 impl PingGeometry<'_> {
-    fn fill(&self, given: &Scatterers, rows: std::ops::Range<usize>, block: &mut Block) {
-        let Block { legs, images } = block;
+    fn fill(&self, list: Listed, rows: std::ops::Range<usize>, block: &mut Block) {
+        let given = list.scatterers;
+        let Block { legs, seen, images } = block;
         legs.clear();
+        seen.clear();
         images.truncate(0);
+        if self.shadows.is_some() {
+            seen.resize(rows.len(), [Some(true), None, None]);
+        }
         for i in rows.clone() {
             let (at_m, normal) = (given.position_m(i), given.normal[i]);
-            let direct = self.direct(at_m, normal);
+            let direct = match list.hidden_ground {
+                None => self.direct(at_m, normal),
+                Some(_) => None,
+            };
             let by_surface = self.by_surface(at_m, normal);
             let by_bottom = self.by_bottom(at_m, normal);
             legs.push([direct, by_surface, by_bottom]);
@@ -293,9 +376,10 @@ impl PingGeometry<'_> {
             Some(_) => &PAIRS[..],
         };
         for &(low, high) in pairs {
-            for (i, legs) in rows.clone().zip(&*legs) {
+            for (row, (i, legs)) in rows.clone().zip(&*legs).enumerate() {
                 if let (Some(a), Some(b)) = (&legs[low], &legs[high]) {
-                    self.pair(given, i, (low, high), (a, b), images);
+                    let seen = seen.get_mut(row);
+                    self.pair(list, i, (low, high), (a, b), seen, images);
                 }
             }
         }
@@ -304,12 +388,14 @@ impl PingGeometry<'_> {
     /// Appends the echoes of one pair of legs, in both orders.
     fn pair(
         &self,
-        given: &Scatterers,
+        list: Listed,
         i: usize,
         (low, high): (usize, usize),
         (a, b): (&Leg, &Leg),
+        mut seen: Option<&mut [Option<bool>; LEGS]>,
         images: &mut Scatterers,
     ) {
+        let given = list.scatterers;
         let both = a.reflection.and(b.reflection);
         let loud = f64::from(given.loud[i]);
         let strength = given.strength[i] * (a.gain * b.gain);
@@ -341,6 +427,13 @@ impl PingGeometry<'_> {
                 }
                 factor /= share.sqrt();
             }
+            if let Some(seen) = &mut seen
+                && [low, high]
+                    .into_iter()
+                    .any(|leg| !*seen[leg].get_or_insert_with(|| self.is_seen(list, i, leg)))
+            {
+                return;
+            }
             for (((out_m, out), (back_m, back)), received) in orders.iter().zip(received) {
                 if !received {
                     continue;
@@ -368,7 +461,12 @@ impl PingGeometry<'_> {
         let pair = (LEGS * low + high) as u32;
         let draw = |part: u32| {
             philox(
-                [i as u32, pair << 8 | part, self.plan.sonar as u32, IMAGES],
+                [
+                    (list.first + i) as u32,
+                    pair << 8 | part,
+                    self.plan.sonar as u32,
+                    IMAGES,
+                ],
                 self.key,
             )
         };
@@ -397,6 +495,25 @@ impl PingGeometry<'_> {
             None => 1.0,
         };
         add(places_m, rms, factor, chance);
+    }
+
+    /// Whether the sonar sees a scatterer by a reflected leg.
+    fn is_seen(&self, list: Listed, i: usize, leg: usize) -> bool {
+        let Some(shadows) = &self.shadows else {
+            return true;
+        };
+        let (at_m, sight) = (list.scatterers.position_m(i), list.sight(i));
+        match leg {
+            BY_SURFACE => shadows.by_surface(at_m, sight),
+            BY_BOTTOM => {
+                let way = self.bottom_way(at_m).map(|way| BottomWay {
+                    places_m: [self.array_m, way.bottom_m, way.surface_m, at_m],
+                    patch_m: way.patch_m,
+                });
+                way.is_some_and(|way| shadows.by_bottom(&way, sight))
+            }
+            _ => true,
+        }
     }
 
     /// Whether an echo arrives after the window of every array, or is below the floor whatever its directions.
@@ -497,14 +614,14 @@ impl PingGeometry<'_> {
         })
     }
 
-    /// The leg by bottom and surface. None where there is no bottom, or no such path.
-    fn by_bottom(&self, at_m: DVec3, normal: [f32; 3]) -> Option<Leg> {
-        let (ground, bottom) = (self.ground?, self.of.bottom.as_ref()?);
+    /// The mirror path by bottom and surface. None where there is no bottom, or no such path.
+    fn bottom_way(&self, at_m: DVec3) -> Option<MirrorPath> {
+        let ground = self.ground?;
         let surface_m = self.of.surface_down_m;
         if self.array_m.z <= surface_m || at_m.z <= surface_m {
             return None;
         }
-        let (above_m, above_normal) = mirrored_at_surface(at_m, normal, surface_m);
+        let above_m = DVec3::new(at_m.x, at_m.y, 2.0 * surface_m - at_m.z);
         // The place of the reflection on the bottom, as if it were level there.
         let down_m = ground
             .down_m(self.array_m.x, self.array_m.y)
@@ -512,7 +629,7 @@ impl PingGeometry<'_> {
         let sonar_up_m = (down_m - self.array_m.z).max(0.0);
         let share = sonar_up_m / (sonar_up_m + down_m - above_m.z).max(f64::MIN_POSITIVE);
         let place = self.array_m.lerp(at_m, share.clamp(0.0, 1.0));
-        let plane = mean_plane(ground, place, surface_m)?;
+        let (plane, patch_m) = mean_plane(ground, place, surface_m)?;
         let BottomPlane { up, .. } = plane;
         let side = |p_m: DVec3| (p_m - plane.at_m).dot(up);
         let (sonar_m, source_m) = (side(self.array_m), side(above_m));
@@ -520,8 +637,6 @@ impl PingGeometry<'_> {
             return None;
         }
         let image_m = above_m - 2.0 * source_m * up;
-        let n = DVec3::from_array(above_normal.map(f64::from));
-        let normal = (n - 2.0 * n.dot(up) * up).as_vec3().to_array();
         let ray_m = image_m - self.array_m;
         let length_m = ray_m.length();
         let ray = ray_m / length_m;
@@ -532,13 +647,38 @@ impl PingGeometry<'_> {
         if bottom_sine <= 0.0 || surface_sine <= 0.0 {
             return None;
         }
-        let bounce_m = self.array_m + ray * to_bottom_m;
-        let to_surface_m = to_bottom_m + (bounce_m.z - surface_m) / surface_sine;
-        if bounce_m.z <= surface_m || to_surface_m >= length_m {
+        let bottom_m = self.array_m + ray * to_bottom_m;
+        let rise_m = (bottom_m.z - surface_m) / surface_sine;
+        let to_surface_m = to_bottom_m + rise_m;
+        if bottom_m.z <= surface_m || to_surface_m >= length_m {
             return None;
         }
+        Some(MirrorPath {
+            plane,
+            patch_m,
+            image_m,
+            bottom_m,
+            surface_m: bottom_m + reflected * rise_m,
+            along_m: [to_bottom_m, to_surface_m],
+            sines: [bottom_sine, surface_sine],
+        })
+    }
+
+    /// The leg by bottom and surface. None where there is no bottom, or no such path.
+    fn by_bottom(&self, at_m: DVec3, [x, y, z]: [f32; 3]) -> Option<Leg> {
+        let bottom = self.of.bottom.as_ref()?;
+        let MirrorPath {
+            plane,
+            image_m,
+            bottom_m,
+            along_m: [to_bottom_m, to_surface_m],
+            sines: [bottom_sine, surface_sine],
+            ..
+        } = self.bottom_way(at_m)?;
+        let n = DVec3::from_array([x, y, -z].map(f64::from));
+        let normal = (n - 2.0 * n.dot(plane.up) * plane.up).as_vec3().to_array();
         if let Some((rays, _)) = &self.refracted {
-            let seen = rays.by_bottom(at_m, &plane, bounce_m)?;
+            let seen = rays.by_bottom(at_m, &plane, bottom_m)?;
             let length_m = seen.position_m.distance(self.array_m);
             let [low, high] = &seen.bounces;
             let at_bottom = bottom.reflection(self.wavenumber_per_m(low), low.sine);
@@ -663,8 +803,8 @@ fn mirrored_at_surface(at_m: DVec3, [a, b, c]: [f32; 3], surface_m: f64) -> (DVe
     )
 }
 
-/// Mean plane of the bottom around a place. None at a hole or an edge.
-fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<BottomPlane> {
+/// Mean plane of the bottom around a place, and half the length of its patch. None at a hole or an edge.
+fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<(BottomPlane, f64)> {
     let down_m = |north_m: f64, east_m: f64| ground.down_m(place_m.x + north_m, place_m.y + east_m);
     let here_m = down_m(0.0, 0.0)?;
     let half_m = (PATCH * (here_m - surface_m)).max(LEAST_PATCH_M);
@@ -673,10 +813,11 @@ fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<BottomP
     let mean_m = (here_m + north_m + south_m + east_m + west_m) / 5.0;
     let slope_north = (north_m - south_m) / (2.0 * half_m);
     let slope_east = (east_m - west_m) / (2.0 * half_m);
-    Some(BottomPlane {
+    let plane = BottomPlane {
         at_m: DVec3::new(place_m.x, place_m.y, mean_m),
         up: DVec3::new(slope_north, slope_east, -1.0).normalize(),
-    })
+    };
+    Some((plane, half_m))
 }
 
 impl Rig {
@@ -704,7 +845,10 @@ impl Rig {
             let array_m = self.sonars[plan.sonar].center_m(&plan.trajectory.pose_at(0.0));
             let ground = self.scene.ground();
             let direct = self.virtual_points.as_ref();
-            multipath.make(plan, array_m, ground.as_ref(), direct, scatterers);
+            let shadows = self.scene.leg_shadows();
+            let shadows = shadows.map(|shadows| (shadows, self.scene.hidden()));
+            let ground = ground.as_ref();
+            multipath.make(plan, array_m, ground, direct, scatterers, shadows);
         }
         counts.unreached = self.bend(plan, scatterers);
         if let Some(multipath) = &self.multipath {

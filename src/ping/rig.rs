@@ -195,7 +195,11 @@ impl Rig {
                 faults: faults.clone(),
             });
         }
-        let scene = Scene::open(files, &spec.scene)?;
+        let mut scene = Scene::open(files, &spec.scene)?;
+        let multipath = Multipath::of(spec);
+        if let Some(multipath) = &multipath {
+            scene.reflect(multipath.surface_down_m());
+        }
         Ok(Self {
             spec: spec.clone(),
             history: NavHistory::new(&spec.nav),
@@ -208,7 +212,7 @@ impl Rig {
             world: SharedSceneSummary::default(),
             scatterers: Scatterers::default(),
             surface: SurfaceSheet::open(files, spec)?,
-            multipath: Multipath::of(spec),
+            multipath,
             virtual_points: spec.medium.profile.clone().map(VirtualPoints::new),
             simplify_counts: StageCounts::default(),
             volume: spec.medium.volume.as_ref().map(|volume| {

@@ -35,8 +35,9 @@ struct TileCount {
     tested: u32,
     kept: u32,
     shadowed: u32,
-    /// Index of its first scatterer in the list of the ping.
+    /// Index of its first scatterer in the list of the ping, and of its first hidden one.
     first: usize,
+    first_hidden: usize,
 }
 
 /// Footprints of the ping, and the obstacles in their way.
@@ -49,6 +50,8 @@ pub(crate) struct GatherContext<'a> {
     pub occlusion: &'a Occlusion,
     pub surface: &'a Surface,
     pub targets: &'a Targets,
+    /// Hidden scatterers are collected too.
+    pub hidden: bool,
 }
 
 /// A tile of the ping.
@@ -92,13 +95,14 @@ pub(crate) struct Gatherer {
 
 impl Gatherer {
     /// Writes the visible scatterers of the tiles that [`Self::find`] selected to the beginning of `out`, and returns their number. Rows after them
-    /// are left undefined.
+    /// are left undefined. `hidden` has the others afterwards, where `context` asks for them.
     pub(crate) fn collect(
         &mut self,
         recipe: &Recipe,
         pool: &mut TilePool,
         context: GatherContext,
         out: &mut Scatterers,
+        hidden: &mut Scatterers,
         counts: &mut SceneCounts,
     ) -> usize {
         counts.tiles_used = self.wanted.len() as u64;
@@ -108,7 +112,7 @@ impl Gatherer {
             anchor_m: context.anchor_m,
         };
         let lanes = &self.lanes[..];
-        let mut filled = 0;
+        let (mut filled, mut filled_hidden) = (0, 0);
         for batch in self.wanted.chunks(pool.capacity()) {
             pool.slots(batch.iter().map(|wanted| wanted.id), &mut self.places);
             self.counts.resize(batch.len(), TileCount::default());
@@ -121,10 +125,11 @@ impl Gatherer {
                         *count = keep(recipe, tile, wanted, chances, lanes, context)
                     });
                 });
-            let batch_first = filled;
+            let (batch_first, batch_first_hidden) = (filled, filled_hidden);
             for (place, count) in self.places.iter().zip(&mut self.counts) {
-                count.first = filled;
+                (count.first, count.first_hidden) = (filled, filled_hidden);
                 filled += count.kept as usize;
+                filled_hidden += count.shadowed as usize;
                 counts.tiles_made += u64::from(place.stale);
                 counts.made += u64::from(count.made);
                 counts.shadowed += u64::from(count.shadowed);
@@ -138,9 +143,30 @@ impl Gatherer {
                 pool,
                 &self.places,
                 &self.counts,
-                &|tile, rows| rows.fill(tile, context.anchor_m, law),
+                &|count| count.first + count.kept as usize,
+                &|tile, rows| match context.hidden {
+                    true => rows.fill_some(tile, 1.0, context.anchor_m, law),
+                    false => rows.fill(tile, context.anchor_m, law),
+                },
                 Rows::of(out, batch_first, filled),
             );
+            if context.hidden {
+                if hidden.len() < filled_hidden {
+                    hidden.resize(filled_hidden);
+                }
+                copy(
+                    pool,
+                    &self.places,
+                    &self.counts,
+                    &|count| count.first_hidden + count.shadowed as usize,
+                    &|tile, rows| rows.fill_some(tile, -1.0, context.anchor_m, law),
+                    Rows::of(hidden, batch_first_hidden, filled_hidden),
+                );
+            }
+        }
+        if context.hidden {
+            hidden.truncate(filled_hidden);
+            hidden.curve.clone_from(&recipe.bottom().curve);
         }
         counts.scatterers = filled as u64;
         out.curve.clone_from(&recipe.bottom().curve);
@@ -330,11 +356,15 @@ fn keep(
         let (mut indices, mut factors, mut some) =
             ([0; CELLS_PER_BLOCK], [0.0; CELLS_PER_BLOCK], 0);
         let hidden = around.ground.is_some() || around.solids.is_some();
-        for (i, gain) in (first..first + rows).zip(tested) {
+        for (i, mut gain) in (first..first + rows).zip(tested) {
             let is_kept = gain > 0.0;
             if hidden && is_kept && !context.sees(tile.position_m(i), around) {
                 count.shadowed += 1;
-                continue;
+                if !context.hidden {
+                    continue;
+                }
+                // Marked by the sign.
+                gain = -gain;
             }
             (indices[some], factors[some]) = (i as u16, gain);
             some += usize::from(is_kept);
@@ -347,6 +377,9 @@ fn keep(
     tile.kept = kept;
     tile.gain = gains;
     count.kept = tile.kept.len() as u32;
+    if context.hidden {
+        count.kept -= count.shadowed;
+    }
     count
 }
 
@@ -471,8 +504,29 @@ impl<'a> Rows<'a> {
 
     /// Writes the kept scatterers of a tile to all rows.
     fn fill(self, tile: &Tile, anchor_m: DVec3, law: ScatterLaw) {
+        let kept = tile.kept.iter().copied().zip(tile.gain.iter().copied());
+        self.fill_with(tile, kept, anchor_m, law);
+    }
+
+    /// Writes the kept scatterers of a tile that are seen (`sign` 1) or hidden (-1) to all rows.
+    fn fill_some(self, tile: &Tile, sign: f32, anchor_m: DVec3, law: ScatterLaw) {
+        let kept = tile.kept.iter().copied().zip(tile.gain.iter().copied());
+        let some = kept
+            .map(|(i, gain)| (i, gain * sign))
+            .filter(|(_, gain)| *gain > 0.0);
+        self.fill_with(tile, some, anchor_m, law);
+    }
+
+    #[inline(always)]
+    fn fill_with(
+        self,
+        tile: &Tile,
+        kept: impl Iterator<Item = (u16, f32)>,
+        anchor_m: DVec3,
+        law: ScatterLaw,
+    ) {
         let zero_m = tile.zero_m + anchor_m;
-        for (row, (&i, &gain)) in tile.kept.iter().zip(&tile.gain).enumerate() {
+        for (row, (i, gain)) in kept.enumerate() {
             let i = usize::from(i);
             self.north_m[row] = zero_m.x + f64::from(tile.north_m[i]);
             self.east_m[row] = zero_m.y + f64::from(tile.east_m[i]);
@@ -486,25 +540,26 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Writes the rows of every tile with `fill`. Splits the work in halves until a task has a few tiles.
+/// Writes the rows of every tile, up to `end` of each, with `fill`. Splits the work in halves until a task has a few tiles.
 fn copy(
     pool: &TilePool,
     places: &[Slot],
     counts: &[TileCount],
+    end: &(impl Fn(&TileCount) -> usize + Sync),
     fill: &(impl Fn(&Tile, Rows) + Sync),
     mut rows: Rows,
 ) {
     if places.len() > COPIED_TOGETHER {
         let middle = places.len() / 2;
-        let (a, b) = rows.split_at(counts[middle].first);
+        let (a, b) = rows.split_at(end(&counts[middle - 1]));
         rayon::join(
-            || copy(pool, &places[..middle], &counts[..middle], fill, a),
-            || copy(pool, &places[middle..], &counts[middle..], fill, b),
+            || copy(pool, &places[..middle], &counts[..middle], end, fill, a),
+            || copy(pool, &places[middle..], &counts[middle..], end, fill, b),
         );
         return;
     }
     for (place, count) in places.iter().zip(counts) {
-        let (of_tile, rest) = rows.split_at(count.first + count.kept as usize);
+        let (of_tile, rest) = rows.split_at(end(count));
         rows = rest;
         pool.read(place, |tile| fill(tile, of_tile));
     }

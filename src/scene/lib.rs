@@ -39,6 +39,7 @@ use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, Scatterers, Target};
 use echotank_core::time::UtcNs;
 use gather::{GatherContext, Gatherer};
+pub use occlusion::legs::{BottomWay, DirectSight, LegShadows};
 use occlusion::{Occluders, Occlusion};
 use pattern_floor::FloorReference;
 use pool::TilePool;
@@ -140,6 +141,9 @@ pub struct Scene {
     footprints: Vec<Footprint>,
     gatherer: Gatherer,
     occlusion: Occlusion,
+    /// What the sonar does not see directly, and reflected legs may: the first `hidden_ground` lie on the ground.
+    hidden: Scatterers,
+    hidden_ground: usize,
     /// Index of each target scatterer that the last ping kept.
     target_rows: Vec<usize>,
     /// Whether the arrays of any footprint see each point and each scatterer of a target in range.
@@ -228,6 +232,8 @@ impl Scene {
             footprints: Vec::new(),
             gatherer: Gatherer::default(),
             occlusion: Occlusion::new(spec.occlusion),
+            hidden: Scatterers::default(),
+            hidden_ground: 0,
         })
     }
 
@@ -285,6 +291,30 @@ impl Scene {
         };
         let seen = self.occlusion.sees(footprint, own.extend(down_m), around);
         Some((down_m, seen))
+    }
+
+    /// Has every [`Scene::gather`] to come keep what the sonar does not see, and prepare the shadows of legs by a surface at this depth.
+    pub fn reflect(&mut self, surface_down_m: f64) {
+        self.occlusion.reflect(surface_down_m);
+    }
+
+    /// Shadows of reflected legs in the last [`Scene::gather`]; none where nothing hides anything, and without [`Scene::reflect`].
+    pub fn leg_shadows(&self) -> Option<LegShadows<'_>> {
+        let surface_m = self.occlusion.reflecting_m()?;
+        let surface = self.seabed.as_ref().map(|(recipe, _)| recipe.surface());
+        Some(LegShadows {
+            occlusion: &self.occlusion,
+            ground: surface.filter(|surface| surface.is_hilly()),
+            targets: &self.own_targets,
+            anchor_m: self.anchor_m.extend(0.0),
+            surface_m,
+        })
+    }
+
+    /// Scatterers in the footprints of the last [`Scene::gather`] that no array sees directly, and how many of them, the first, lie on the ground. None without
+    /// [`Scene::reflect`].
+    pub fn hidden(&self) -> (&Scatterers, usize) {
+        (&self.hidden, self.hidden_ground)
     }
 
     /// Fills `labels` with the target number of each scatterer of the last [`Scene::gather`]: 1 is the first target, 0 is no target.
@@ -347,6 +377,11 @@ impl Scene {
             .extend(footprints.iter().filter(|f| f.is_finite()));
         let mut counts = SceneCounts::default();
         let seabed = self.gather_seabed(out, &mut counts);
+        self.hidden_ground = match self.occlusion.reflecting_m() {
+            Some(_) => counts.shadowed as usize,
+            None => 0,
+        };
+        self.hidden.truncate(self.hidden_ground);
         // Truncated after filling rather than cleared before, so that nothing is written twice.
         out.truncate(seabed);
         self.gather_points(out, &mut counts);
@@ -462,8 +497,10 @@ impl Scene {
             occlusion: &self.occlusion,
             surface: recipe.surface(),
             targets: &self.own_targets,
+            hidden: self.occlusion.reflecting_m().is_some(),
         };
-        self.gatherer.collect(recipe, pool, context, out, counts)
+        self.gatherer
+            .collect(recipe, pool, context, out, &mut self.hidden, counts)
     }
 
     /// Removes points and targets that no footprint's arrays see from `out`, from index `first` on.
@@ -487,7 +524,11 @@ impl Scene {
                 *seen = footprints.clone().any(|f| occlusion.sees(f, at_m, around));
             });
         }
+        let keep_hidden = self.occlusion.reflecting_m().is_some();
         for (i, seen) in (first..).zip(&self.seen) {
+            if !seen && keep_hidden {
+                self.hidden.push_copy(out, i, 1.0);
+            }
             if *seen {
                 out.copy_within(i, kept);
                 kept += 1;

@@ -22,7 +22,7 @@ const ROUNDING: f64 = 1e-9;
 /// Tangent of an empty horizon.
 const OPEN: f64 = -1e9;
 /// Ground nearer than this hides nothing, metres.
-const FIRST_M: f64 = 1e-3;
+pub(super) const FIRST_M: f64 = 1e-3;
 /// Transitions between insonified and shadowed ground in one piece. A piece enters and leaves shadow at most once, and may begin in one.
 const TURNS: usize = 4;
 
@@ -122,6 +122,11 @@ impl Horizon {
         self.shadows.clear();
         // Reserved for all rays, though hardly any ping needs them: memory that is not written is not committed.
         self.shadows.reserve(self.rays);
+    }
+
+    /// Bounding rectangle of the eye and of everything marked, metres.
+    pub(super) fn marked_m(&self) -> (DVec2, DVec2) {
+        (self.low_m, self.high_m)
     }
 
     /// Announces that points in a box will be tested.

@@ -13,9 +13,12 @@
 //! A point or target is seen if it stands above ground that is seen; otherwise a ray is cast. Solids hide by ray casting under either rule. Rays are
 //! straight: refraction is not modelled.
 //!
+//! Legs by the sea surface have shadows of their own (`legs`): ground is tested from the mirror image of the eye above the surface, in the same way.
+//!
 //! Point sets without a height field, as in the simplification, use `simplify::shadow`.
 
 mod horizon;
+pub(crate) mod legs;
 
 #[cfg(test)]
 mod tests;
@@ -56,8 +59,12 @@ pub(crate) struct Occluders<'a> {
 pub(crate) struct Occlusion {
     rule: OcclusionSpec,
     eyes_m: Vec<DVec3>,
-    /// One for each eye, over a seabed that can hide something.
+    /// One for each eye, over a seabed that can hide something; then one for the mirror image of each, where a surface reflects.
     horizons: Vec<Horizon>,
+    /// Depth of the surface that reflects, metres.
+    surface_m: Option<f64>,
+    /// Some ground in range is shallower than an eye, which it may hide from the surface.
+    shallow: bool,
     /// Indices of the transmitter's and the receiver's eye of each footprint.
     pairs: Vec<(usize, usize)>,
     /// Solid targets near enough to hide a scatterer in range.
@@ -71,6 +78,8 @@ impl Occlusion {
             rule,
             eyes_m: Vec::new(),
             horizons: Vec::new(),
+            surface_m: None,
+            shallow: false,
             pairs: Vec::new(),
             solids: Vec::new(),
             hilly: false,
@@ -107,14 +116,24 @@ impl Occlusion {
             targets.solid(target).is_some() && eyes_m.iter().any(near)
         }));
         if let Some(spacing_m) = spacing_m {
-            if self.horizons.len() < self.eyes_m.len() {
-                self.horizons
-                    .resize_with(self.eyes_m.len(), Horizon::default);
+            let used = self.used_horizons();
+            if self.horizons.len() < used {
+                self.horizons.resize_with(used, Horizon::default);
             }
-            for (horizon, eye_m) in self.horizons.iter_mut().zip(&self.eyes_m) {
-                horizon.start(*eye_m, longest_m, spacing_m);
+            let images = self.surface_m.into_iter().flat_map(|surface_m| {
+                let mirrored = move |eye_m: &DVec3| mirrored(*eye_m, surface_m);
+                self.eyes_m.iter().map(mirrored)
+            });
+            let eyes_m = self.eyes_m.iter().copied().chain(images);
+            for (horizon, eye_m) in self.horizons.iter_mut().zip(eyes_m) {
+                horizon.start(eye_m, longest_m, spacing_m);
             }
         }
+    }
+
+    /// Number of horizons of the ping.
+    fn used_horizons(&self) -> usize {
+        self.eyes_m.len() * (1 + usize::from(self.surface_m.is_some()))
     }
 
     fn eye(&mut self, eye_m: DVec3) -> usize {
@@ -133,7 +152,8 @@ impl Occlusion {
         if self.rule == OcclusionSpec::None || !self.hilly {
             return;
         }
-        for horizon in &mut self.horizons[..self.eyes_m.len()] {
+        let used = self.used_horizons();
+        for horizon in &mut self.horizons[..used] {
             horizon.mark(low_m.truncate(), high_m.truncate());
         }
     }
@@ -143,11 +163,13 @@ impl Occlusion {
         if self.rule == OcclusionSpec::None || !self.hilly {
             return;
         }
-        let horizons = &mut self.horizons[..self.eyes_m.len()];
+        let used = self.used_horizons();
+        let horizons = &mut self.horizons[..used];
         horizons.par_iter_mut().for_each(|h| h.clear(surface));
         for horizon in horizons {
             horizon.scan(surface, self.rule);
         }
+        self.shallow = self.surface_m.is_some() && self.has_shallow(surface);
     }
 
     /// The ground, if it may hide ground in a marked box.
@@ -177,16 +199,16 @@ impl Occlusion {
             &both[..]
         };
         eyes.iter().all(|&eye| {
-            !self.ground_hides(eye, at_m, around) && !self.solid_hides(eye, at_m, around)
+            let horizon = self.horizons.get(eye);
+            !self.ground_hides(horizon, at_m, around) && !self.solid_hides(eye, at_m, around)
         })
     }
 
     #[inline(always)]
-    fn ground_hides(&self, eye: usize, at_m: DVec3, around: Occluders) -> bool {
-        let Some(ground) = around.ground.filter(|_| self.hilly) else {
+    fn ground_hides(&self, horizon: Option<&Horizon>, at_m: DVec3, around: Occluders) -> bool {
+        let (Some(ground), Some(horizon)) = (around.ground.filter(|_| self.hilly), horizon) else {
             return false;
         };
-        let horizon = &self.horizons[eye];
         let (visibility, nearer) = horizon.visibility(at_m.truncate());
         if self.rule == OcclusionSpec::Paper {
             return nearer == Visibility::Hidden;
@@ -256,6 +278,11 @@ fn distance_m(a: [DVec3; 2], b: [DVec3; 2]) -> f64 {
     let on_b = share(ab * on_a + b_apart, bb);
     let on_a = share(ab * on_b - a_apart, aa);
     (a[0] + along_a * on_a).distance(b[0] + along_b * on_b)
+}
+
+/// The mirror image of a place at the surface.
+fn mirrored(at_m: DVec3, surface_m: f64) -> DVec3 {
+    DVec3::new(at_m.x, at_m.y, 2.0 * surface_m - at_m.z)
 }
 
 fn is_above(ground: &Surface, at_m: DVec3) -> bool {

@@ -19,26 +19,26 @@ use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonif
 use glam::DVec3;
 use num_complex::Complex64;
 
-const C: f64 = 1500.0;
-const RATE_HZ: f64 = 40e3;
+pub(crate) const C: f64 = 1500.0;
+pub(crate) const RATE_HZ: f64 = 40e3;
 /// Depth of the sonar, metres.
-const SONAR_M: f64 = 2.0;
+pub(crate) const SONAR_M: f64 = 2.0;
 
 /// A rig of one omnidirectional transmitter and element at [`SONAR_M`]. `range_m` of the ping.
-struct Setup<'a> {
-    khz: f64,
-    range_m: f64,
+pub(crate) struct Setup<'a> {
+    pub(crate) khz: f64,
+    pub(crate) range_m: f64,
     /// Lines of `[medium]` and its tables, of `[scene]` and its tables, and of `[sonar.model]`.
-    medium: &'a str,
-    scene: &'a str,
-    model: &'a str,
+    pub(crate) medium: &'a str,
+    pub(crate) scene: &'a str,
+    pub(crate) model: &'a str,
     /// Lines of transmitter and element.
-    patterns: [&'a str; 2],
+    pub(crate) patterns: [&'a str; 2],
     /// Speed northward, m/s.
-    speed: f64,
+    pub(crate) speed: f64,
 }
 
-fn rig(folder: &Path, setup: &Setup) -> RigSpec {
+pub(crate) fn rig(folder: &Path, setup: &Setup) -> RigSpec {
     let track = folder.join("track.csv");
     let mut rows = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
     for k in 0..400 {
@@ -102,9 +102,10 @@ source_level_db = 200.0
     parse(&text, folder).unwrap_or_else(|why| panic!("{why}"))
 }
 
-const DIRECT: &str = "path = \"k-segment\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"";
+pub(crate) const DIRECT: &str =
+    "path = \"k-segment\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"";
 
-const OMNI: [&str; 2] = ["", "element_pattern = \"omnidirectional\""];
+pub(crate) const OMNI: [&str; 2] = ["", "element_pattern = \"omnidirectional\""];
 
 fn plane(depth_m: f64, more: &str) -> String {
     format!(
@@ -113,7 +114,7 @@ fn plane(depth_m: f64, more: &str) -> String {
 }
 
 /// Makes pings 1 to `last` and looks at each.
-fn pings(spec: &RigSpec, last: u32, mut look: impl FnMut(u32, &PingSlot, &Scatterers)) {
+pub(crate) fn pings(spec: &RigSpec, last: u32, mut look: impl FnMut(u32, &PingSlot, &Scatterers)) {
     let mut recorded = RecordedRig::open(spec).expect("opens");
     let mut slot = recorded.rig.slot(0);
     for ping in 1..=last {
@@ -126,7 +127,11 @@ fn pings(spec: &RigSpec, last: u32, mut look: impl FnMut(u32, &PingSlot, &Scatte
 }
 
 /// Motion and scatterers of some pings, without their echoes.
-fn gather_pings(spec: &RigSpec, pings: u32, mut look: impl FnMut(&PingPlan, &Scatterers) + Send) {
+pub(crate) fn gather_pings(
+    spec: &RigSpec,
+    pings: u32,
+    mut look: impl FnMut(&PingPlan, &Scatterers) + Send,
+) {
     pool(2).expect("threads").install(|| {
         let mut recorded = RecordedRig::open(spec).expect("opens");
         let mut slot = recorded.rig.slot(0);
