@@ -127,8 +127,19 @@ pub struct MovingScatterer {
     pub strength: Complex64,
     /// Directional law; not [`ScatterLaw::Curve`].
     pub law: ScatterLaw,
-    /// Index of its target; [`Self::OF_SURFACE`] for one of the sea surface.
+    /// Index of its target; [`Self::OF_SURFACE`] for one of the sea surface, and for an echo that the surface reflects.
     pub target: u32,
+    /// Where the transmit leg leads, for a reflected echo whose two legs differ; its position is then that of the receive leg.
+    pub transmit: Option<MovingPoint>,
+}
+
+/// A point in uniform motion, as that of a [`MovingScatterer`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MovingPoint {
+    /// World, metres.
+    pub position_m: DVec3,
+    /// World, metres per second.
+    pub velocity_m_per_s: DVec3,
 }
 
 impl MovingScatterer {

@@ -131,19 +131,26 @@ fn received(area: &Footprint, echo: &Echo, curve: Option<&LawCurve>) -> Option<(
         * below(b.axis, b.knee, out_m, out_range_m)
         * below(c.axis, c.knee, back_m, back_range_m)
         * below(d.axis, d.knee, back_m, back_range_m);
-    let facing = |normal: [f32; 3], ray_m: DVec3, range_m: f64| {
-        (-DVec3::from(normal.map(f64::from)).dot(ray_m) / range_m).clamp(0.0, 1.0)
-    };
     let facing_out = facing(echo.normals[0], out_m, out_range_m);
     let facing_back = facing(echo.normals[1], back_m, back_range_m);
-    let law = match echo.law {
-        ScatterLaw::Point | ScatterLaw::Water => 1.0,
-        ScatterLaw::Lambert => (facing_out * facing_back).sqrt(),
-        ScatterLaw::LambertOneWay => facing_out,
-        ScatterLaw::Curve => curve.map_or(0.0, |curve| {
-            curve.half(facing_out.sqrt()) * curve.half(facing_back.sqrt())
-        }),
-    };
+    let law = law_factor(echo.law, curve, [facing_out, facing_back]);
     let amplitude = echo.strength * law / (below * out_range_m * back_range_m);
     Some((0.5 * (out_range_m + back_range_m), amplitude))
+}
+
+/// Cosine of the incidence of a ray from the sonar.
+pub(crate) fn facing(normal: [f32; 3], ray_m: DVec3, range_m: f64) -> f64 {
+    (-DVec3::from(normal.map(f64::from)).dot(ray_m) / range_m).clamp(0.0, 1.0)
+}
+
+/// Factor of a law on the pressure, from the cosines of the incidence of the transmit and the receive leg.
+pub(crate) fn law_factor(law: ScatterLaw, curve: Option<&LawCurve>, [out, back]: [f64; 2]) -> f64 {
+    match law {
+        ScatterLaw::Point | ScatterLaw::Water => 1.0,
+        ScatterLaw::Lambert => (out * back).sqrt(),
+        ScatterLaw::LambertOneWay => out,
+        ScatterLaw::Curve => curve.map_or(0.0, |curve| {
+            curve.half(out.sqrt()) * curve.half(back.sqrt())
+        }),
+    }
 }

@@ -107,8 +107,11 @@ pub(super) fn labelled_scatterers<'a>(
     rig.scene.target_of_each(&scatterers, &mut labels);
     if !rig.scatterers().moving.is_empty() {
         let all = scatterers.to_mut();
+        // The labels are of these.
+        all.truncate_to_scene();
         let from_m = plan.trajectory.pose_at(0.0).position_m;
-        for moving in &rig.scatterers().moving {
+        let direct = rig.scatterers().moving.iter();
+        for moving in direct.filter(|moving| moving.transmit.is_none()) {
             let hit_s = moving.position_m.distance(from_m) / plan.sound_speed_m_per_s;
             let at_m = moving.position_m + moving.velocity_m_per_s * hit_s;
             all.push(at_m, moving.normal, moving.strength, moving.law);

@@ -20,6 +20,11 @@
 //! in the plane of incidence, and by the sine of the grazing angle times that across it (geometric optics of small slopes). The random numbers depend on seed,
 //! ping, scatterer and pair alone. A pair and its reverse have the same, because the surface hardly changes during a ping.
 //!
+//! With waves, the facets of the surface move with the orbital velocity of a wind sea (`wind_sea`), and with them the images of incoherent legs. The mean
+//! surface, and so the coherent image, stays at rest. Echoes with such images are moving scatterers. This is the limit of a rough surface of the spectrum that
+//! Kirchhoff's approximation gives for the specular direction, exp(-4 g^2 (1 - rho(t))) in time, with g = k sigma sin psi and rho the correlation of the height
+//! (Beckmann and Spizzichino 1963). Where the pulse does not resolve the Doppler, it is left out.
+//!
 //! In water whose sound speed changes with depth, the images are the virtual points of reflected rays (`reflected_rays`), with the grazing angles, levels and
 //! times of the rays.
 //!
@@ -35,18 +40,22 @@ use rayon::prelude::*;
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 use std::sync::Arc;
 
-use crate::image_thinning::{Echo, ImageThinning, is_single};
+use crate::image_thinning::{Echo, ImageThinning, facing, is_single, law_factor};
 use crate::rig::Rig;
-use crate::sea_surface::sea_surface;
+use crate::sea_surface::{sea_surface, wind_sea};
 use echotank_config::spec::{Density, RigSpec};
 use echotank_core::ping::{PingPlan, Reflections, SceneCounts};
-use echotank_core::scene::{BaffledFace, Footprint, PatternSide, Scatterers};
+use echotank_core::scene::{
+    BaffledFace, Footprint, LawCurve, MovingPoint, MovingScatterer, PatternSide, ScatterLaw,
+    Scatterers,
+};
 use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_scene::draws::{circular_gaussian, fraction, philox};
 use echotank_scene::{BottomWay, DirectSight, Ground, LegShadows, reflecting_bottom};
 use echotank_synthesis::echo::boundaries::{FluidBottom, Reflection, SeaSurface};
 use echotank_synthesis::echo::rays::VirtualPoints;
 use echotank_synthesis::echo::reflected_rays::{BottomPlane, Bounce, ReflectedRays};
+use echotank_synthesis::echo::wind_sea::{WindSea, vertical_velocity_variance};
 
 /// Separates these numbers from other uses of the same seed.
 const IMAGES: u32 = 0x1A6E_5EED;
@@ -63,6 +72,8 @@ const LEAST_SHARE: f64 = 1e-6;
 /// Half length of the patch whose mean plane reflects, in depths of water, and at least, metres.
 const PATCH: f64 = 0.05;
 const LEAST_PATCH_M: f64 = 0.5;
+/// Least rms Doppler that counts, over the bandwidth of the pulse. The peak of a tone behind its matched filter is 0.1 dB lower then.
+const LEAST_SPREAD: f64 = 1.0 / 12.0;
 /// Deviations of the direction for which scatterers are gathered.
 const DEVIATIONS: f64 = 2.0;
 
@@ -77,6 +88,8 @@ pub(crate) struct Multipath {
     surface_down_m: f64,
     /// None without legs by the bottom.
     bottom: Option<FluidBottom>,
+    /// Where the surface moves.
+    sea: Option<WindSea>,
     /// In water that bends sound.
     rays: Option<ReflectedRays>,
     /// Where the seabed is thinned too.
@@ -97,6 +110,8 @@ struct Block {
     /// Whether the sonar sees the scatterer by each leg, as far as known; empty where nothing hides anything.
     seen: Vec<[Option<bool>; LEGS]>,
     images: Scatterers,
+    /// Echoes with the Doppler of the waves.
+    moving: Vec<MovingScatterer>,
 }
 
 /// A way between the sonar and a scatterer.
@@ -128,6 +143,15 @@ struct MirrorPath {
     sines: [f64; 2],
 }
 
+/// One end of an echo.
+#[derive(Clone, Copy, Debug)]
+struct Image {
+    at_m: DVec3,
+    normal: [f32; 3],
+    /// Metres per second.
+    velocity: DVec3,
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 struct Bend {
     along_m: f64,
@@ -153,6 +177,7 @@ impl Multipath {
                 rms_m: given.bottom_roughness_m.unwrap_or(own.rms_m),
                 slope2: slope * slope,
             }),
+            sea: wind_sea(spec),
             rays: spec.medium.profile.clone().map(ReflectedRays::new),
             thinning: seabed
                 .is_some_and(|seabed| matches!(seabed.density, Density::Auto { .. }))
@@ -173,6 +198,15 @@ impl Multipath {
     /// Depth of the mean surface, metres.
     pub(crate) fn surface_down_m(&self) -> f64 {
         self.surface_down_m
+    }
+
+    /// Whether the waves spread the Doppler of reflections so far that a ping shows it: twice by the vertical, the most that they do.
+    fn is_spread(&self, plan: &PingPlan) -> bool {
+        let c = plan.sound_speed_m_per_s;
+        let bandwidth_hz = 0.5 * c / plan.pulse.range_resolution_m(c);
+        let velocity = vertical_velocity_variance(self.surface.wind_m_per_s).sqrt();
+        let spread_hz = 4.0 * plan.pulse.center_frequency_hz * velocity / c;
+        spread_hz > LEAST_SPREAD * bandwidth_hz
     }
 
     /// The boundaries that reflect.
@@ -270,6 +304,11 @@ impl Multipath {
             wavenumber_per_m: TAU * plan.pulse.center_frequency_hz / plan.sound_speed_m_per_s,
             ground: ground.filter(|_| self.bottom.is_some()),
             shadows: shadows.map(|(shadows, _)| shadows),
+            sea: self
+                .sea
+                .as_ref()
+                .filter(|_| self.is_spread(plan))
+                .map(|sea| (sea, plan.transmit_utc.0 as f64 * 1e-9)),
             key: [
                 self.seed as u32,
                 (self.seed >> 32) as u32 ^ plan.ping_number,
@@ -312,6 +351,8 @@ impl Multipath {
                 scatterers.append(&block.images);
                 appended += block.images.len() as u64;
             }
+            scatterers.moving.extend_from_slice(&block.moving);
+            appended += block.moving.len() as u64;
         }
         appended
     }
@@ -328,6 +369,8 @@ struct PingGeometry<'a> {
     ground: Option<&'a Ground>,
     /// Where something may hide a scatterer.
     shadows: Option<LegShadows<'a>>,
+    /// Waves whose Doppler the pulse resolves, and the time of the pulse, seconds.
+    sea: Option<(&'a WindSea, f64)>,
     key: [u32; 2],
 }
 
@@ -354,8 +397,14 @@ impl Listed<'_> {
 impl PingGeometry<'_> {
     fn fill(&self, list: Listed, rows: std::ops::Range<usize>, block: &mut Block) {
         let given = list.scatterers;
-        let Block { legs, seen, images } = block;
+        let Block {
+            legs,
+            seen,
+            images,
+            moving,
+        } = block;
         legs.clear();
+        moving.clear();
         seen.clear();
         images.truncate(0);
         if self.shadows.is_some() {
@@ -379,7 +428,8 @@ impl PingGeometry<'_> {
             for (row, (i, legs)) in rows.clone().zip(&*legs).enumerate() {
                 if let (Some(a), Some(b)) = (&legs[low], &legs[high]) {
                     let seen = seen.get_mut(row);
-                    self.pair(list, i, (low, high), (a, b), seen, images);
+                    let made = (&mut *images, &mut *moving);
+                    self.pair(list, i, (low, high), (a, b), seen, made);
                 }
             }
         }
@@ -393,17 +443,17 @@ impl PingGeometry<'_> {
         (low, high): (usize, usize),
         (a, b): (&Leg, &Leg),
         mut seen: Option<&mut [Option<bool>; LEGS]>,
-        images: &mut Scatterers,
+        (images, moving): (&mut Scatterers, &mut Vec<MovingScatterer>),
     ) {
         let given = list.scatterers;
         let both = a.reflection.and(b.reflection);
         let loud = f64::from(given.loud[i]);
         let strength = given.strength[i] * (a.gain * b.gain);
-        let mut add = |(a_m, b_m): (DVec3, DVec3), rms: f64, factor: Complex64, chance: f64| {
-            let orders = [((a_m, a), (b_m, b)), ((b_m, b), (a_m, a))];
+        let mut add = |(a, b): (Image, Image), rms: f64, factor: Complex64, chance: f64| {
+            let orders = [(a, b), (b, a)];
             let orders = &orders[..1 + usize::from(low != high)];
             let received =
-                [0, 1].map(|k| matches!(orders.get(k), Some(((out_m, _), (back_m, _))) if self.is_received(*out_m, *back_m, rms * loud)));
+                [0, 1].map(|k| matches!(orders.get(k), Some((out, back)) if self.is_received(out.at_m, back.at_m, rms * loud)));
             if received == [false; 2] {
                 return;
             }
@@ -412,9 +462,9 @@ impl PingGeometry<'_> {
                 && chance < 1.0
                 && !is_single(given, i)
             {
-                let share = |((out_m, out), (back_m, back)): &((DVec3, &Leg), (DVec3, &Leg))| {
+                let share = |(out, back): &(Image, Image)| {
                     let echo = Echo {
-                        at_m: [*out_m, *back_m],
+                        at_m: [out.at_m, back.at_m],
                         normals: [out.normal, back.normal],
                         strength: strength.norm() * rms,
                         law: given.law[i],
@@ -434,12 +484,18 @@ impl PingGeometry<'_> {
             {
                 return;
             }
-            for (((out_m, out), (back_m, back)), received) in orders.iter().zip(received) {
+            for ((out, back), received) in orders.iter().zip(received) {
                 if !received {
                     continue;
                 }
-                images.push(*back_m, back.normal, strength * factor, given.law[i]);
-                images.push_transmit(*out_m, out.normal);
+                if out.velocity != DVec3::ZERO || back.velocity != DVec3::ZERO {
+                    let curve = given.curve.as_deref();
+                    let echo = (strength * factor, given.law[i]);
+                    moving.push(self.in_motion(out, back, echo, curve));
+                    continue;
+                }
+                images.push(back.at_m, back.normal, strength * factor, given.law[i]);
+                images.push_transmit(out.at_m, out.normal);
                 if let Some(last) = images.loud.last_mut() {
                     *last = (rms * loud) as f32;
                 }
@@ -447,8 +503,8 @@ impl PingGeometry<'_> {
         };
         let coherent = both.coherent.norm_sqr();
         if coherent > LEAST_SHARE * both.power {
-            let images_m = (a.image_m, b.image_m);
-            add(images_m, coherent.sqrt(), both.coherent, 1.0);
+            let images = (a.image(), b.image());
+            add(images, coherent.sqrt(), both.coherent, 1.0);
         }
         let incoherent = both.incoherent();
         if incoherent <= LEAST_SHARE * both.power {
@@ -480,21 +536,65 @@ impl PingGeometry<'_> {
         let displaced = |leg: &Leg, part: u32, chance: u32| {
             let share = leg.reflection.incoherent() / leg.reflection.power.max(f64::MIN_POSITIVE);
             if leg.count == 0 || fraction(chance) >= share {
-                return leg.image_m;
+                return leg.image();
             }
             let words = draw(part);
-            leg.bent(
-                self.array_m,
-                [0, 2].map(|k| gaussian(words[k], words[k + 1])),
-            )
+            let draws = [0, 2].map(|k| gaussian(words[k], words[k + 1]));
+            Image {
+                at_m: leg.bent(self.array_m, draws),
+                normal: leg.normal,
+                velocity: self.image_velocity(leg),
+            }
         };
         // Two paths by the same boundary differ.
-        let places_m = (displaced(a, 1, of_low), displaced(b, 2, of_high));
+        let images = (displaced(a, 1, of_low), displaced(b, 2, of_high));
         let chance = match &self.of.thinning {
             Some(_) => fraction(draw(3)[0]),
             None => 1.0,
         };
-        add(places_m, rms, factor, chance);
+        add(images, rms, factor, chance);
+    }
+
+    /// Velocity of the image of an incoherent leg: a facet of the surface that rises by dz lengthens the path by 2 dz times the sine of the grazing angle.
+    fn image_velocity(&self, leg: &Leg) -> DVec3 {
+        let (Some((sea, utc_s)), Some(last)) = (self.sea, leg.count.checked_sub(1)) else {
+            return DVec3::ZERO;
+        };
+        let bend = &leg.bends[last];
+        let ray_m = leg.image_m - self.array_m;
+        let length_m = ray_m.length();
+        let ray = ray_m / length_m;
+        let at_m = self.array_m + ray * bend.along_m;
+        let hit_s = length_m / self.plan.sound_speed_m_per_s;
+        let facet = sea.velocity_m_per_s(at_m.x, at_m.y, utc_s + hit_s);
+        ray * (-2.0 * bend.sine * facet.z)
+    }
+
+    /// An echo between two images, of which at least one moves. They are at their places when the sound finds the scatterer.
+    fn in_motion(
+        &self,
+        out: &Image,
+        back: &Image,
+        (strength, law): (Complex64, ScatterLaw),
+        curve: Option<&LawCurve>,
+    ) -> MovingScatterer {
+        let incidence = [out, back].map(|image| {
+            let ray_m = image.at_m - self.array_m;
+            facing(image.normal, ray_m, ray_m.length())
+        });
+        let hit_s = out.at_m.distance(self.array_m) / self.plan.sound_speed_m_per_s;
+        MovingScatterer {
+            position_m: back.at_m - back.velocity * hit_s,
+            velocity_m_per_s: back.velocity,
+            normal: back.normal,
+            strength: strength * law_factor(law, curve, incidence),
+            law: ScatterLaw::Point,
+            target: MovingScatterer::OF_SURFACE,
+            transmit: Some(MovingPoint {
+                position_m: out.at_m - out.velocity * hit_s,
+                velocity_m_per_s: out.velocity,
+            }),
+        }
     }
 
     /// Whether the sonar sees a scatterer by a reflected leg.
@@ -739,6 +839,15 @@ impl PingGeometry<'_> {
 }
 
 impl Leg {
+    /// The image at rest.
+    fn image(&self) -> Image {
+        Image {
+            at_m: self.image_m,
+            normal: self.normal,
+            velocity: DVec3::ZERO,
+        }
+    }
+
     fn direct(at_m: DVec3, normal: [f32; 3]) -> Self {
         Self {
             image_m: at_m,

@@ -49,6 +49,17 @@ pub(crate) fn sea_surface(spec: &RigSpec) -> (SeaSurface, f64) {
     (surface, given.down_m)
 }
 
+/// The waves of a configuration, if the surface moves.
+pub(crate) fn wind_sea(spec: &RigSpec) -> Option<WindSea> {
+    let given = spec.medium.surface.as_ref()?;
+    let moves = given.scattering.as_ref().is_some_and(|s| s.waves);
+    moves.then(|| {
+        let key = [spec.scene.seed as u32, (spec.scene.seed >> 32) as u32];
+        let draw = |i: u32| fraction(philox([i, 0, WAVES, SURFACE], key)[0]);
+        WindSea::new(given.wind_m_per_s, draw)
+    })
+}
+
 /// The scatterers of the surface around a sonar.
 pub(crate) struct SurfaceSheet {
     scene: Scene,
@@ -108,11 +119,7 @@ impl SurfaceSheet {
                 .collect(),
             areas: Vec::new(),
             made: Scatterers::default(),
-            sea: scattering.waves.then(|| {
-                let key = [spec.scene.seed as u32, (spec.scene.seed >> 32) as u32];
-                let draw = |i: u32| fraction(philox([i, 0, WAVES, SURFACE], key)[0]);
-                WindSea::new(surface.wind_m_per_s, draw)
-            }),
+            sea: wind_sea(spec),
             thinning: (scattering.waves && matches!(scattering.density, Density::Auto { .. }))
                 .then(ImageThinning::default),
             moving: Vec::new(),
@@ -226,6 +233,7 @@ fn set_in_motion(
             strength: made.strength[i],
             law: made.law[i],
             target: MovingScatterer::OF_SURFACE,
+            transmit: None,
         }
     };
     let rows = (0..made.len()).into_par_iter().with_min_len(TOGETHER / 16);

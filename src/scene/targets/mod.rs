@@ -324,6 +324,7 @@ impl Targets {
                     strength: swarm.individual(k, since_s).strength,
                     law: ScatterLaw::Point,
                     target: target as u32,
+                    transmit: None,
                 });
             }
             return;
@@ -343,6 +344,7 @@ impl Targets {
                 strength: self.scatterers.strength[i],
                 law: self.scatterers.law[i],
                 target: target as u32,
+                transmit: None,
             });
         }
     }

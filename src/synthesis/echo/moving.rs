@@ -7,6 +7,7 @@
 //! reception  c (t - t1) = |S(t1) - r(t)|          by Newton's iteration
 //! ```
 //!
+//! (of a reflected echo whose legs differ, S is the image that the transmitter sees in the first line, and the one that the receiver sees in the second)
 //! solved for the beginning, the middle and the end of the pulse. The parabola through the three gives the delay of the leading edge, the Doppler and its
 //! change as in [`ArrivalChunk`]; its error is of third order in the pulse length. The element's own track around the echo is the parabola through three poses;
 //! its error is of third order in the pulse length and the time that sound takes along the array.
@@ -188,8 +189,17 @@ impl<'a> Path<'a> {
     fn hit(&self, scatterer: &MovingScatterer) -> Hit {
         let (plan, c) = (self.plan, self.plan.sound_speed_m_per_s);
         let duration_s = plan.pulse.duration_s;
-        let velocity = scatterer.velocity_m_per_s;
-        let start_m = (scatterer.position_m - self.origin_m) + velocity * self.late_s;
+        let start = |position_m: DVec3, velocity: DVec3| {
+            (
+                (position_m - self.origin_m) + velocity * self.late_s,
+                velocity,
+            )
+        };
+        let seen = start(scatterer.position_m, scatterer.velocity_m_per_s);
+        let sent = scatterer.transmit.map_or(seen, |transmit| {
+            start(transmit.position_m, transmit.velocity_m_per_s)
+        });
+        let (start_m, velocity) = sent;
         let (mut time_s, mut at_m) = ([0.0; 3], [DVec3::ZERO; 3]);
         for k in 0..3 {
             let emitted_s = INSTANTS[k] * duration_s;
@@ -199,6 +209,10 @@ impl<'a> Path<'a> {
             let leg_s = (dot + (dot * dot + left * apart_m.length_squared()).sqrt()) / left;
             time_s[k] = emitted_s + leg_s;
             at_m[k] = start_m + velocity * time_s[k];
+        }
+        let ray_m = at_m[0] - self.transmit_m[0];
+        if scatterer.transmit.is_some() {
+            at_m = time_s.map(|time_s| seen.0 + seen.1 * time_s);
         }
         let pose_at = |time_s: f64| plan.trajectory.pose_from(self.origin_m, time_s);
         let mounting = &self.array.mounting;
@@ -211,7 +225,6 @@ impl<'a> Path<'a> {
         let first_s = received_s - self.half_array_s;
         let step_s = self.half_array_s + 0.5 * LONGEST_ECHO * duration_s;
         let poses = [0.0, 1.0, 2.0].map(|k| pose_at(first_s + k * step_s));
-        let ray_m = at_m[0] - self.transmit_m[0];
         let range_m = ray_m.length().max(f64::MIN_POSITIVE);
         let ray = self.transmit_from_world * (ray_m / range_m);
         let normal = DVec3::from_array(scatterer.normal.map(f64::from));

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use echotank_config::spec::RigSpec;
 use echotank_core::ping::PingPlan;
-use echotank_core::scene::Scatterers;
+use echotank_core::scene::{MovingScatterer, Scatterers};
 use echotank_ping::make_ping;
 use echotank_ping::make_ping::{gather, motion};
 use echotank_ping::rig::PingSlot;
@@ -661,6 +661,106 @@ fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
     println!("variance {ratio:.3} of the predicted one, Gaussian p = {p:.2}");
     assert!((ratio - 1.0).abs() < 0.12, "{ratio}");
     assert!(p > 0.01, "p = {p}");
+}
+
+/// The Doppler of bottom echoes by a surface with waves: Gaussian, with the variance (2 sin psi)^2 m2 of the vertical velocity of the facets. A pulse
+/// too short to resolve it has the same echoes at rest, with the same energy.
+#[test]
+fn waves_spread_the_doppler_of_reflections_by_their_vertical_velocity() {
+    const PINGS: u32 = 390;
+    const WIND: f64 = 4.0;
+    const BOTTOM_M: f64 = 8.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let setup = Setup {
+        khz: 100.0,
+        range_m: 14.0,
+        medium: &format!(
+            "wind_m_per_s = {WIND}\n[medium.surface]\nscattering = true\nwaves = true\n[medium.multipath]\nlegs = \"surface\""
+        ),
+        scene: &plane(BOTTOM_M, "density_per_m2 = 0.5\nlambert_db = -20.0"),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let short = rig(folder.path(), &setup);
+    let mut long = short.clone();
+    // 100 Hz wide; the waves spread the Doppler by some 30 Hz a leg.
+    long.sonars[0].settings.pulse_duration_s = 0.01;
+    let sonar = &long.sonars[0];
+    let m2 = 8.1e-3 * std::f64::consts::PI.sqrt() * WIND * WIND / (4.0 * 0.74f64.sqrt());
+    let echoes = |plan: &PingPlan, list: &[MovingScatterer]| {
+        let mut moving = MovingEchoes::default();
+        moving.prepare(plan, &sonar.transmit, &sonar.receive, list, 0.0);
+        let mut dopplers = Dopplers::default();
+        moving.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
+        dopplers.echoes
+    };
+    // In a part of both windows.
+    let inside = |echoes: &[[f64; 3]]| {
+        let some = echoes.iter().filter(|echo| 0.5 * C * echo[1] < 12.5);
+        some.map(|echo| echo[2]).sum::<f64>()
+    };
+    let (mut sum, mut weight, mut apart, mut energy) = (0.0, 0.0, Vec::new(), 0.0);
+    let mut ping = 0;
+    gather_pings(&long, PINGS, |plan, all| {
+        assert_eq!(all.of_scene(), all.len(), "all images move");
+        let images = all.moving.iter().filter(|s| s.transmit.is_some());
+        let list: Vec<MovingScatterer> = images.clone().copied().collect();
+        energy += inside(&echoes(plan, &list));
+        // The scatterer and its image by the surface, as it is before facets bend the path.
+        let legs = |s: &MovingScatterer| {
+            let sent_m = s.transmit.expect("an image").position_m;
+            let [one, other] = [sent_m.z, s.position_m.z].map(|z| (z - BOTTOM_M).abs() < 1e-9);
+            match (one, other) {
+                (true, false) => Some(sent_m),
+                (false, true) => Some(s.position_m),
+                _ => None,
+            }
+        };
+        let mixed: Vec<(MovingScatterer, DVec3)> =
+            images.filter_map(|s| Some((*s, legs(s)?))).collect();
+        let list: Vec<MovingScatterer> = mixed.iter().map(|(s, _)| *s).collect();
+        assert!(list.len() > 100);
+        let made = echoes(plan, &list);
+        // Radial velocity over its predicted deviation.
+        let of = |k: usize| {
+            let at_m = mixed[k].1;
+            let height_m = BOTTOM_M + SONAR_M;
+            let sine = height_m / height_m.hypot(at_m.truncate().length());
+            C * made[k][0] / (2.0 * sine * m2.sqrt())
+        };
+        for (k, echo) in made.iter().enumerate() {
+            sum += of(k).powi(2) * echo[2];
+            weight += echo[2];
+        }
+        if ping % 4 == 0 {
+            apart.push(of((ping as usize * 7919) % made.len()));
+        }
+        ping += 1;
+    });
+    let ratio = sum / weight;
+    let p = kolmogorov(apart, |x| 0.5 * (1.0 + libm::erf(x / 2f64.sqrt())));
+    println!("variance {ratio:.3} of the predicted one, Gaussian p = {p:.2}");
+    assert!((ratio - 1.0).abs() < 0.12, "{ratio}");
+    assert!(p > 0.01, "{p}");
+    let mut at_rest = 0.0;
+    gather_pings(&short, PINGS, |plan, all| {
+        assert!(all.moving.iter().all(|s| s.transmit.is_none()));
+        let sonar = &short.sonars[0];
+        let images = only(all, |_, _| true);
+        let mut leg = TransmitLeg::new();
+        let window = Window {
+            first_s: 0.0,
+            last_s: 0.2,
+        };
+        insonify(plan, &sonar.transmit[0], window, &images, &mut leg);
+        let (mut work, mut still) = (Workspace::new(), Dopplers::default());
+        arrivals(plan, &sonar.receive[0], 0, &leg, &mut work, &mut still);
+        at_rest += inside(&still.echoes);
+    });
+    let off_db = 10.0 * (energy / at_rest).log10();
+    println!("energy {off_db:+.2} dB of that at rest");
+    assert!(off_db.abs() < 0.5, "{off_db} dB");
 }
 
 /// A path that facets bend is longer than the mirror path, by (geometric optics of one reflection) 4 s^2 r_1 r_2 / (2 L) in the mean at the vertical, with

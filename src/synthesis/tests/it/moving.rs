@@ -26,6 +26,7 @@ fn mover(position_m: DVec3, velocity_m_per_s: DVec3) -> MovingScatterer {
         strength: Complex64::new(3.0, -4.0),
         law: ScatterLaw::Point,
         target: 0,
+        transmit: None,
     }
 }
 
