@@ -123,8 +123,22 @@ track = "target.csv"
 target_strength_db = -20.0
 "#;
 
+/// Sound speed at the surface in water of one gradient, m/s.
+const SURFACE_C: f64 = 1515.0;
+
+/// Travel time between two places in water of a gradient, in closed form: the ray is the arc of a circle.
+fn travel_s(gradient_per_s: f64, a_m: DVec3, b_m: DVec3) -> f64 {
+    let apart_m = a_m.distance(b_m);
+    if gradient_per_s == 0.0 {
+        return apart_m / C;
+    }
+    let [a, b] = [a_m, b_m].map(|m| SURFACE_C + gradient_per_s * m.z);
+    let half = 0.5 * gradient_per_s.abs() * apart_m / (a * b).sqrt();
+    2.0 * half.asinh() / gradient_per_s.abs()
+}
+
 /// Emission time of the sound that the element receives `after_s` seconds after the start of the pulse at `since_s`, by bisection.
-fn emitted_s(since_s: f64, after_s: f64) -> f64 {
+fn emitted_s(gradient_per_s: f64, since_s: f64, after_s: f64) -> f64 {
     let sonar_m = |t: f64| DVec3::new(SPEED_M_PER_S * (since_s + t), 0.0, SONAR_M);
     let root = |mut low: f64, mut high: f64, f: &dyn Fn(f64) -> f64| {
         for _ in 0..100 {
@@ -137,22 +151,37 @@ fn emitted_s(since_s: f64, after_s: f64) -> f64 {
         0.5 * (low + high)
     };
     let receive_m = sonar_m(after_s);
-    let back_s = |hit: f64| target_m(since_s + hit).distance(receive_m) / C;
+    let back_s = |hit: f64| travel_s(gradient_per_s, target_m(since_s + hit), receive_m);
     let hit_s = root(0.0, after_s, &|hit| hit + back_s(hit) - after_s);
     let hit_m = target_m(since_s + hit_s);
     root(-0.1, hit_s, &|sent| {
-        sent + sonar_m(sent).distance(hit_m) / C - hit_s
+        sent + travel_s(gradient_per_s, sonar_m(sent), hit_m) - hit_s
     })
 }
 
 #[test]
 fn records_of_a_moving_target_agree_with_its_track() {
     for water in WATERS {
-        records_agree(water);
+        records_agree(water, 0.0);
     }
 }
 
-fn records_agree(water: &str) {
+/// Through water of one gradient, the phase of every sample is that of the rays to the target and back, and with it delay and Doppler. The straight ways would
+/// be off by several turns.
+#[test]
+fn a_moving_target_in_a_gradient_has_the_phase_of_its_rays() {
+    let gradient_per_s = -0.5;
+    let water = format!(
+        "profile = {{ points = [[0.0, {SURFACE_C}], [60.0, {}]] }}",
+        SURFACE_C + 60.0 * gradient_per_s
+    );
+    records_agree(&water, gradient_per_s);
+}
+
+fn records_agree(water: &str, gradient_per_s: f64) {
+    // Greatest error of the phase, radians.
+    let most_rad = 1e-3;
+    let emitted_s = |since_s: f64, after_s: f64| emitted_s(gradient_per_s, since_s, after_s);
     let folder = tempfile::tempdir().expect("a folder");
     let spec = config(folder.path(), POINT, "direct", water);
     let (mut late, mut turned, mut shifted, mut seen) = (0.0_f64, 0.0_f64, 0.0_f64, 0);
@@ -162,8 +191,9 @@ fn records_agree(water: &str) {
         let time_s = |k: usize| first_s + k as f64 / RATE_HZ;
         let first = iq.iter().position(|x| x.norm() > 0.0).expect("an echo");
         // The leading edge lies within the sample before the first of the echo.
-        assert!(emitted_s(since_s, time_s(first)) >= -1e-9);
-        assert!(emitted_s(since_s, time_s(first - 1)) <= 1e-9);
+        let off_s = 1e-9 + most_rad / (TAU * CARRIER_HZ);
+        assert!(emitted_s(since_s, time_s(first)) >= -off_s);
+        assert!(emitted_s(since_s, time_s(first - 1)) <= off_s);
         late = late.max(emitted_s(since_s, time_s(first)) * RATE_HZ);
         for k in [first, first + 20, first + 39] {
             let t = time_s(k);
@@ -193,9 +223,12 @@ fn records_agree(water: &str) {
         "{seen} pings: phase within {turned:.1e} rad, Doppler within {shifted:.2} Hz of the range rate at the pulse"
     );
     assert!(late <= 1.0 + 1e-6);
-    assert!(turned < 1e-3, "{turned}");
+    assert!(turned < most_rad, "{turned}");
     // Second order of (v/c), and the change of the range rate until the sound arrives: 133 Hz per m/s times 0.02 m/s.
-    assert!(shifted < 3.0, "{shifted} Hz");
+    assert!(
+        shifted < 3.0 || gradient_per_s != 0.0,
+        "{shifted} Hz: a straight range rate"
+    );
 }
 
 const SWARMS: &str = r#"

@@ -26,13 +26,14 @@ const SOURCE_DB: f64 = 210.0;
 /// Layers: top and bottom, metres, and Sv, dB re 1/m.
 const LAYERS: [(f64, f64, f64); 2] = [(0.0, 6.0, -75.0), (12.0, 30.0, -60.0)];
 const GATE_M: (f64, f64) = (20.0, 36.0);
+
 const PINGS: u32 = 60;
 
 /// An upright line of elements that looks ahead, at rest.
 fn config(folder: &Path, synthesis: &str) -> String {
     let track = folder.join("track.csv");
     let mut rows = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
-    for k in 0..200 {
+    for k in 0..2 * PINGS {
         rows += &format!("{},0,0,0,0,0,0\n", f64::from(k) * 0.5);
     }
     std::fs::write(&track, rows).expect("a track");
@@ -211,10 +212,21 @@ fn exponential_p(mut values: Vec<f64>) -> f64 {
     terms.sum::<f64>().clamp(0.0, 1.0)
 }
 
+/// With four scatterers a cell, and with sixteen, whose envelope more samples do not tell from Rayleigh's.
 #[test]
 fn level_covariance_and_statistics_are_those_of_the_integral() {
+    for (per_cell, apart) in [(4, 27), (16, 12)] {
+        check_statistics(per_cell, apart);
+    }
+}
+
+/// Compares pings with the integral. Samples `apart` from each other are taken as independent: a pulse has 6, and the sound passes the array in 4.
+fn check_statistics(per_cell: u32, apart: usize) {
+    println!("{per_cell} scatterers a cell:");
     let folder = tempfile::tempdir().expect("a folder");
     let text = config(folder.path(), "direct");
+    let of_medium = format!("[medium]\nvolume_scatterers_per_cell = {per_cell}");
+    let text = text.replace("[medium]", &of_medium);
     let spec = parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}"));
     let measured = measure(&spec, 2, PINGS);
     let ranges_m = &measured.ranges_m;
@@ -267,8 +279,7 @@ fn level_covariance_and_statistics_are_those_of_the_integral() {
             for (k, row) in ping.iter().enumerate() {
                 let power = beam(row).norm_sqr();
                 got_sum += power;
-                // Samples four and a half pulses apart share no scatterer.
-                if k % 27 == 0 {
+                if k % apart == 0 {
                     values.push(power / want[k]);
                 }
             }
