@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use echotank_config::spec::{
-    Density, MultipathSpec, RigSpec, SurfaceSpec, VolumeLayer, VolumeSpec,
+    Density, MultipathSpec, OcclusionSpec, RigSpec, SurfaceSpec, VolumeLayer, VolumeSpec,
 };
 use echotank_core::instrument::{
     Crosstalk, ElementSpread, Instrument, Leakage, Resonance, SecondSonar, Tone, ToneEntry,
@@ -162,5 +162,16 @@ fn a_ping_allocates_nothing_after_warm_up() {
         let seabed = allocations_per_ping("quickstart.toml", |_| {}, threads, 36, 20);
         let quiet = seabed.iter().filter(|&&n| n == 0).count();
         assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");
+        if threads == 1 {
+            continue;
+        }
+        // Shadows of all legs behind relief and targets.
+        let hides = |spec: &mut RigSpec| {
+            spec.scene.occlusion = OcclusionSpec::Horizon;
+            reflects(spec);
+        };
+        let hilly = allocations_per_ping("quickstart.toml", hides, threads, 36, 20);
+        let quiet = hilly.iter().filter(|&&n| n == 0).count();
+        assert!(quiet >= 10, "shadows, {threads} threads: {hilly:?}");
     }
 }

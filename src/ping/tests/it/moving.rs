@@ -8,6 +8,7 @@ use num_complex::Complex64;
 
 use echotank_config::spec::RigSpec;
 use echotank_core::ping::PingOutput;
+use echotank_ping::line_truth::line_truths;
 use echotank_ping::make_ping;
 use echotank_ping::threads::pool;
 use echotank_runtime::config_files::parse;
@@ -310,6 +311,45 @@ fn schools_and_plumes_are_the_same_with_any_engine_and_threads() {
         .sum();
     let all: f64 = one.iter().map(|a| a.norm_sqr()).sum();
     assert!((off / all).sqrt() < 1e-3, "{}", (off / all).sqrt());
+}
+
+/// The line's label of a moving target lies where its echo does, also where the water scatters.
+#[test]
+fn a_moving_target_has_its_label_among_other_scatterers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let water = format!(
+        "{}\nvolume = [{{ top_m = 5.0, bottom_m = 12.0, sv_db = -110.0 }}]",
+        WATERS[0]
+    );
+    let line = "direct\"\n[sonar.beams]\nstarboard = \"rx";
+    let spec = config(folder.path(), POINT, line, &water);
+    pool(2).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        for _ in 0..3 {
+            let (sonar, order) = recorded.next_order(3).expect("an order");
+            assert!(recorded.settle(sonar, &order));
+            let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+            make_ping(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("a ping");
+            assert!(slot.output.scene.volume > 100);
+            let since_s = (utc.0 as f64 - START_UTC_S * 1e9) * 1e-9;
+            let sonar_m = DVec3::new(SPEED_M_PER_S * since_s, 0.0, SONAR_M);
+            let range_m = target_m(since_s).distance(sonar_m);
+            let want = 2.0 * range_m / C * RATE_HZ;
+            let truth = &line_truths(&recorded.rig, &slot)[0];
+            let labelled: Vec<usize> = (0..truth.target.len())
+                .filter(|k| truth.target[*k] == 1)
+                .collect();
+            let middle = labelled.iter().sum::<usize>() as f64 / labelled.len().max(1) as f64;
+            println!(
+                "{} samples about {middle}, echo at {want:.1}",
+                labelled.len()
+            );
+            assert!(!labelled.is_empty() && (middle - want).abs() < 3.0);
+            // As long as the pulse.
+            assert!(labelled.len() as f64 <= PULSE_S * RATE_HZ + 2.0);
+        }
+    });
 }
 
 /// Mean intensity of a school over pings: the sum of the individuals' strengths over range to the fourth power.
