@@ -84,6 +84,8 @@ pub struct RangeFloors {
     pub per_m: f64,
     /// Lowest two-way pattern that culling keeps, relative to boresight, by bin. Infinite where the floor of the model holds.
     pub levels: Vec<f32>,
+    /// Largest relative error of a window by what lies below the levels; 0 without levels.
+    pub left_out: f64,
 }
 
 impl RangeFloors {

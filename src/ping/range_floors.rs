@@ -17,6 +17,9 @@
 //! Echoes have random phases, so the energies fluctuate: the part left out may be strong where the whole is weak. For Gaussian samples the part left out is
 //! s of the whole (its share of the energy), and a rest that does not depend on the whole, of mean energy s (1 - s). Its error is at most
 //! s + sqrt(s (1 - s) R) in all but the rarest windows, with the ratio R of [`fades::worst_ratio`].
+//!
+//! Levels are coarse and the weakest of three windows binds, so most windows lose less. [`RangeFloors::left_out`] has the largest error of any
+//! window, of its own energy and what its own bins leave out.
 
 use std::ops::Range;
 
@@ -67,6 +70,7 @@ pub(crate) fn with_room() -> RangeFloors {
     RangeFloors {
         per_m: 0.0,
         levels: Vec::with_capacity(BINS),
+        left_out: 0.0,
     }
 }
 
@@ -78,6 +82,8 @@ pub struct RangeFloorFinder {
     samples: Vec<Sample>,
     /// By bin: energies of the scatterers that are looked at, each over the square of its level, and how many there are.
     unweighted: [(f64, f64); BINS],
+    /// By bin: energy below its level.
+    culled: [f64; BINS],
 }
 
 impl Default for RangeFloorFinder {
@@ -90,6 +96,7 @@ impl Default for RangeFloorFinder {
             choice: Choice::default(),
             samples: Vec::new(),
             unweighted: [(0.0, 0.0); BINS],
+            culled: [0.0; BINS],
         }
     }
 }
@@ -99,6 +106,7 @@ impl RangeFloorFinder {
     pub fn find(&mut self, spec: &SonarSpec, plan: &mut PingPlan, scatterers: &Scatterers) {
         let mut floors = std::mem::take(&mut plan.range_floors);
         floors.levels.clear();
+        floors.left_out = 0.0;
         if spec.synthesis.culls_by_window && plan.model.cull_db.is_some() && !scatterers.is_empty()
         {
             self.fill(spec, plan, scatterers, &mut floors);
@@ -121,7 +129,8 @@ impl RangeFloorFinder {
         let share = allowed * allowed / look.worst_ratio;
         for array in 0..spec.receive.len() {
             self.add_up(spec, plan, scatterers, array, &look);
-            self.lower(share, &mut floors.levels);
+            let left_out = self.lower(share, look.worst_ratio, &mut floors.levels);
+            floors.left_out = floors.left_out.max(left_out);
         }
         // A bin without a sample may have scatterers.
         let levels = &mut floors.levels;
@@ -148,14 +157,9 @@ impl RangeFloorFinder {
             self.add_up(spec, plan, scatterers, array, &look);
             let all = Windows::of(&self.energies, 0);
             let left_out = Windows::of(&self.energies, first_culled);
-            let noise = all.noise();
-            for k in 0..BINS {
-                let share = left_out.from(k) / all.from(k).max(noise).max(f64::MIN_POSITIVE);
-                let rest = share * (1.0 - share) * look.worst_ratio;
-                worst = worst.max(share + rest.sqrt());
-            }
+            worst = worst.max(all.largest_error(&left_out, look.worst_ratio));
         }
-        MARGIN * worst
+        worst
     }
 
     /// Energies that the middle element of an array receives.
@@ -195,8 +199,9 @@ impl RangeFloorFinder {
         }
     }
 
-    /// Lowers `floors` to what the array needs: at most `share` of the energy of any window is left out.
-    fn lower(&self, share: f64, floors: &mut [f32]) {
+    /// Lowers `floors` to what the array needs: at most `share` of the energy of any window is left out. The largest error of a window.
+    fn lower(&mut self, share: f64, worst_ratio: f64, floors: &mut [f32]) -> f64 {
+        self.culled = [0.0; BINS];
         let windows = Windows::of(&self.energies, 0);
         let noise = windows.noise();
         let per_step = libm::exp10(0.1 * STEP_DB);
@@ -205,7 +210,8 @@ impl RangeFloorFinder {
             if windows.sums[k] == 0.0 {
                 continue;
             }
-            let mut left = 0.25 * share * windows.weakest_with(k).max(noise);
+            let bears = 0.25 * share * windows.weakest_with(k).max(noise);
+            let mut left = bears;
             // Each level may have as many scatterers as one that is looked at stands for, and none of them is.
             let (sum, number) = self.unweighted[k];
             let mut unseen = f64::from(self.choice.strides[k] - 1) * sum / number * lowest;
@@ -217,7 +223,10 @@ impl RangeFloorFinder {
             }
             let level = libm::exp10(-STEP_DB / 20.0 * first_culled as f64) as f32;
             floors[k] = floors[k].min(level);
+            self.culled[k] = bears - left;
         }
+        let culled = Windows { sums: self.culled };
+        windows.largest_error(&culled, worst_ratio)
     }
 }
 
@@ -710,6 +719,17 @@ impl Windows {
         before.min(self.from(k)).min(self.from(k + 1))
     }
 
+    /// Largest error of a window without what of its energies is `culled`.
+    fn largest_error(&self, culled: &Self, worst_ratio: f64) -> f64 {
+        let noise = self.noise();
+        let errors = (0..BINS).map(|k| {
+            let share = culled.from(k) / self.from(k).max(noise).max(f64::MIN_POSITIVE);
+            let share = share.min(1.0);
+            share + (share * (1.0 - share) * worst_ratio).sqrt()
+        });
+        MARGIN * errors.fold(0.0, f64::max)
+    }
+
     /// Noise floor of the error contract.
     fn noise(&self) -> f64 {
         let strongest = (0..BINS).map(|k| self.from(k)).fold(0.0, f64::max);
@@ -820,6 +840,53 @@ mod tests {
                 assert!(some || count < CHUNK, "{beyond} of {count} beyond");
             }
         }
+    }
+
+    /// Bins with levels of random energies, and one weak bin among them: floors keep the share that they may, and what they leave out of each window
+    /// is predicted, by itself.
+    #[test]
+    fn what_floors_leave_out_of_a_window_is_counted_against_that_window() {
+        let mut finder = RangeFloorFinder::default();
+        for k in 10..60 {
+            let weak = if k == 30 { 1e-3 } else { 1.0 };
+            for level in 0..LEVELS {
+                let uneven = 1.0 + ((k * 31 + level * 17) as f64 * 0.618_033_988).fract();
+                finder.energies[k][level] = weak * uneven * libm::exp10(-0.3 * level as f64);
+            }
+            finder.unweighted[k] = (1.0, 1.0);
+        }
+        let (share, ratio) = (1e-5, 6.0);
+        let mut floors = [f32::INFINITY; BINS];
+        let got = finder.lower(share, ratio, &mut floors);
+        let mut worst = 0.0f64;
+        for k in 0..BINS - 1 {
+            let of = |from: &dyn Fn(usize) -> usize| {
+                let bin = |k: usize| finder.energies[k][from(k)..].iter().sum::<f64>();
+                let before = k.checked_sub(1).map_or(0.0, bin);
+                before + 2.0 * bin(k) + bin(k + 1)
+            };
+            let first_culled = |k: usize| {
+                let steps = -20.0 / STEP_DB * f64::from(floors[k]).log10();
+                if steps.is_finite() {
+                    steps.round() as usize
+                } else {
+                    LEVELS
+                }
+            };
+            let (all, culled) = (of(&|_| 0), of(&first_culled));
+            if all > 0.0 {
+                let s = culled / all;
+                assert!(s <= share * (1.0 + 1e-6), "{k}: {s:e}");
+                worst = worst.max(s + (s * (1.0 - s) * ratio).sqrt());
+            }
+        }
+        println!("{got:.3e}, counted {:.3e}", MARGIN * worst);
+        assert!(
+            (got / (MARGIN * worst) - 1.0).abs() < 1e-6,
+            "{got:e} {worst:e}"
+        );
+        // No more than they may leave out of every window.
+        assert!(got < MARGIN * (share * ratio).sqrt(), "{got:e}");
     }
 
     /// One scatterer after the other, with vectors.

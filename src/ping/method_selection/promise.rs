@@ -32,14 +32,15 @@ pub(super) struct Promise {
     doppler: DopplerModel,
     /// Of the reference, which uses neither.
     is_exact: bool,
-    /// Of what does not move: sum, culling, output.
+    /// Of what does not move: sum and output; and of culling, where every ping has floors of its own.
     others: f64,
+    culling: f64,
 }
 
 impl Promise {
     pub(super) fn new(candidate: &Candidate, conditions: Conditions, peaks: EchoPeaks) -> Self {
         let model = candidate.choice.model;
-        let others = [Family::Sum, Family::Culling, Family::Output];
+        let others = [Family::Sum, Family::Output];
         let errors = others.map(|family| candidate.part(family).error);
         Self {
             conditions,
@@ -49,6 +50,7 @@ impl Promise {
             doppler: model.doppler,
             is_exact: model.synthesis == Synthesis::Reference,
             others: errors.into_iter().fold(0.0, f64::hypot),
+            culling: candidate.part(Family::Culling).error,
         }
     }
 
@@ -65,6 +67,11 @@ impl Promise {
         if self.is_exact {
             return (self.path, self.segment_s, self.others.hypot(bent));
         }
+        let culling = match plan.range_floors.levels.is_empty() {
+            true => self.culling,
+            false => plan.range_floors.left_out,
+        };
+        let others = self.others.hypot(culling);
         let conditions = match scatterers.len() <= ALL {
             true => conditions(spec, plan, scatterers),
             false => echo_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
@@ -80,7 +87,7 @@ impl Promise {
                 ..conditions
             };
             let doppler = doppler_error(self.doppler, path, &conditions);
-            (path_error(path, &conditions) + bent + doppler).hypot(self.others)
+            (path_error(path, &conditions) + bent + doppler).hypot(others)
         };
         let selected = (self.path, self.segment_s, error(self.path, self.segment_s));
         if selected.2 <= tolerance || !spec.synthesis.auto.path {
