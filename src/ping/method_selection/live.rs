@@ -17,6 +17,8 @@
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
+use crate::element_synthesis::FASTEST_PLATFORM_M_PER_S;
+use crate::engines::HARDEST_M_PER_S2;
 use crate::method_selection::costs::Costs;
 use crate::method_selection::echo_statistics::echo_peaks;
 use crate::method_selection::promise::Promise;
@@ -44,6 +46,8 @@ const BLOCKS_SEEN: usize = 3;
 const STEPS_PER_DOUBLING: f64 = 2.0;
 /// Smaller motion counts as none: m/s, m/s^2, m/s.
 const MIN_MOTION: [f64; 3] = [1e-6, 1e-6, 1e-6];
+/// What engines are designed for: m/s, m/s^2; the attitude may turn as it likes.
+const DESIGNED_FOR: [f64; 3] = [FASTEST_PLATFORM_M_PER_S, HARDEST_M_PER_S2, f64::INFINITY];
 /// Instants of a ping at which its motion is examined.
 const INSTANTS: usize = 8;
 
@@ -337,9 +341,8 @@ impl MethodSelector {
         let all = self.motion.iter().copied().fold(now, larger);
         let times = |k: usize| {
             let now = now[k].max(MIN_MOTION[k]);
-            let steps = (STEPS_PER_DOUBLING * libm::log2(all[k].max(now))).ceil();
             // A ping that happens to stand still says nothing of the directions: as far as ten times it is believed.
-            (libm::exp2(steps / STEPS_PER_DOUBLING) / now).clamp(1.0, 10.0)
+            (rounded_up(all[k].max(now), DESIGNED_FOR[k]) / now).clamp(1.0, 10.0)
         };
         MotionScale {
             speed: times(0),
@@ -493,6 +496,13 @@ pub fn is_examined_before(first: u32, order: &PingOrder, sound_speed_m_per_s: f6
     block(order.ping_number) + BLOCKS_SEEN as u32 >= block(first)
 }
 
+/// The next step up of a motion. Engines are designed for motion up to `limit`: what is within is rounded up to it at most.
+fn rounded_up(motion: f64, limit: f64) -> f64 {
+    let steps = (STEPS_PER_DOUBLING * libm::log2(motion)).ceil();
+    let up = libm::exp2(steps / STEPS_PER_DOUBLING);
+    if motion <= limit { up.min(limit) } else { up }
+}
+
 fn larger(a: MotionPeaks, b: MotionPeaks) -> MotionPeaks {
     [0, 1, 2].map(|k| a[k].max(b[k]))
 }
@@ -519,4 +529,19 @@ fn motion_peaks(spec: &SonarSpec, plan: &PingPlan) -> MotionPeaks {
         }
     }
     worst
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motion_within_the_design_is_not_rounded_up_beyond_it() {
+        let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-12, "{a} {b}");
+        near(rounded_up(5.0, 10.0), 32f64.sqrt());
+        near(rounded_up(8.3, 10.0), 10.0);
+        near(rounded_up(10.0, 10.0), 10.0);
+        near(rounded_up(10.1, 10.0), 128f64.sqrt());
+        near(rounded_up(8.3, f64::INFINITY), 128f64.sqrt());
+    }
 }
