@@ -33,7 +33,14 @@ pub fn synthesis_error_model(
     plan: &PingPlan,
     filter: Option<FilterDesign>,
 ) -> ErrorModel {
-    let alone = || window_error(synthesis, plan, conditions.sample_rate_hz, filter);
+    let fading = conditions.echo_statistics.map_or_else(
+        || 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz),
+        |echoes| echoes.fading,
+    );
+    let alone = || {
+        window_error(synthesis, plan, conditions.sample_rate_hz, filter)
+            .map(|errors| errors.of_ping(fading))
+    };
     let (error, why) = match (synthesis, filter) {
         (Synthesis::Reference, Some(_)) => (QUADRATURE, "filtered by quadrature".to_owned()),
         (Synthesis::Reference, None) => (1e-10, "exact".to_owned()),

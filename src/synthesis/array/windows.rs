@@ -4,7 +4,8 @@
 //! filter. Its error is relative to that part or to the noise floor, whichever is larger.
 //!
 //! The model synthesises a single echo at several positions between two samples, once by the method
-//! and once exactly. It compares both window by window. The result depends on the pulse, the
+//! and once exactly. It compares both window by window, and as a whole: where many echoes sound
+//! together, their errors have random phases, and fade otherwise than the echoes. The result depends on the pulse, the
 //! filter and the method alone, so it is computed once for each of them.
 
 use std::sync::{Mutex, PoisonError};
@@ -44,7 +45,23 @@ struct Asked {
     filter: Option<FilterDesign>,
 }
 
-/// Error of one echo in the worst window, for the methods `direct`, `spectral`, `nearest` and
+/// Errors of one echo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SingleEchoErrors {
+    /// In its worst window.
+    pub window: f64,
+    /// Of the whole echo, mean square over its positions between two samples.
+    pub whole: f64,
+}
+
+impl SingleEchoErrors {
+    /// In the worst window of a ping whose `fading` is that of errors of random phase.
+    pub(super) fn of_ping(self, fading: f64) -> f64 {
+        self.window.max(fading * self.whole).min(MOST)
+    }
+}
+
+/// Errors of one echo, for the methods `direct`, `spectral`, `nearest` and
 /// `linear`. `filter` is the receiver filter of the method, whose allowance for Doppler limits that
 /// of echoes. Only the pulse of `plan` matters.
 ///
@@ -54,8 +71,8 @@ pub(super) fn window_error(
     plan: &PingPlan,
     rate_hz: f64,
     filter: Option<FilterDesign>,
-) -> Result<f64, FilterError> {
-    static RESULTS: Mutex<Vec<(Asked, f64)>> = Mutex::new(Vec::new());
+) -> Result<SingleEchoErrors, FilterError> {
+    static RESULTS: Mutex<Vec<(Asked, SingleEchoErrors)>> = Mutex::new(Vec::new());
     let asked = Asked {
         synthesis,
         pulse: plan.pulse,
@@ -69,7 +86,10 @@ pub(super) fn window_error(
     let doppler = filter.map_or(0.0, |f| f.doppler_hz / plan.pulse.center_frequency_hz);
     let filter = filter.map(|f| f.decimator()).transpose()?;
     let worst = SingleEcho::new(synthesis, plan, rate_hz, filter.as_ref()).worst(doppler);
-    let error = (MORE * worst).min(MOST);
+    let error = SingleEchoErrors {
+        window: MORE * worst.window,
+        whole: MORE * worst.whole,
+    };
     let mut results = results();
     if results.len() >= KEPT {
         results.remove(0);
@@ -120,23 +140,31 @@ impl<'a> SingleEcho<'a> {
         }
     }
 
-    /// Error in the worst window over all positions at rest. If the method supports Doppler, also
-    /// at the largest Doppler.
-    fn worst(&self, fastest: f64) -> f64 {
+    /// Errors over all positions at rest. If the method supports Doppler, also at the largest Doppler; the
+    /// greater ones.
+    fn worst(&self, fastest: f64) -> SingleEchoErrors {
         let dopplers = match self.method {
             None if fastest > 0.0 => &[0.0, fastest, -fastest][..],
             _ => &[0.0],
         };
-        let places = dopplers
-            .iter()
-            .flat_map(|&doppler| PLACES.map(|place| (place, doppler)));
-        places
-            .map(|(place, doppler)| self.at(place, doppler))
-            .fold(0.0, f64::max)
+        let mut worst = SingleEchoErrors {
+            window: 0.0,
+            whole: 0.0,
+        };
+        for &doppler in dopplers {
+            let mut square = 0.0;
+            for place in PLACES {
+                let errors = self.at(place, doppler);
+                worst.window = worst.window.max(errors.window);
+                square += errors.whole.powi(2) / PLACES.len() as f64;
+            }
+            worst.whole = worst.whole.max(square.sqrt());
+        }
+        worst
     }
 
-    /// Error in the worst window of an echo that begins `place` samples after a sample.
-    fn at(&self, place: f64, doppler: f64) -> f64 {
+    /// Errors of an echo that begins `place` samples after a sample.
+    fn at(&self, place: f64, doppler: f64) -> SingleEchoErrors {
         let (want, got) = (self.exactly(place, doppler), self.summed(place, doppler));
         let energies = |energy: fn(Complex64, Complex64) -> f64| {
             let samples = got.iter().zip(&want).map(|(got, want)| energy(*got, *want));
@@ -146,12 +174,15 @@ impl<'a> SingleEcho<'a> {
         let all = energies(|_, want| want.norm_sqr());
         let strongest = all.iter().copied().fold(0.0, f64::max);
         let floor = strongest * 10f64.powf(-FLOOR_BELOW_STRONGEST_DB / 10.0);
-        let weakest = self.plan.pulse.weakest_window(self.rate_hz).powi(2);
         let shares = off.iter().zip(&all);
-        shares
-            .map(|(off, here)| off / (here * weakest).max(floor))
-            .fold(0.0, f64::max)
-            .sqrt()
+        let worst = shares
+            .map(|(off, here)| off / here.max(floor))
+            .fold(0.0, f64::max);
+        let [off, all] = [off, all].map(|energies| energies.iter().sum::<f64>());
+        SingleEchoErrors {
+            window: worst.sqrt(),
+            whole: (off / all).sqrt(),
+        }
     }
 
     fn echo(&self, place: f64, doppler: f64) -> ArrivalChunk {
@@ -299,11 +330,12 @@ mod tests {
                 let design = filtered.then(|| design(synthesis, &pulse));
                 let plan = plan_at_rest(&pulse, 100, 1500.0);
                 let said = window_error(synthesis, &plan, RATE_HZ, design).expect("fits");
+                let said = said.of_ping(1.0);
                 let filter = design.map(|f| f.decimator().expect("fits"));
                 let alone = SingleEcho::new(synthesis, &plan, RATE_HZ, filter.as_ref());
                 let got = (0..24)
                     .map(|k| (0.01 + 0.754_877_666 * f64::from(k)).fract())
-                    .map(|place| alone.at(place, 0.0))
+                    .map(|place| alone.at(place, 0.0).window)
                     .fold(0.0, f64::max);
                 println!("{synthesis:?} {filtered} {pulse:?}: {got:.2e}, {said:.2e}");
                 // The error of an error model is at most twice the echo.
@@ -334,6 +366,7 @@ mod tests {
             let plan = plan_at_rest(&pulse, 100, 1500.0);
             let error =
                 window_error(Synthesis::Direct, &plan, rate_hz, Some(filter)).expect("fits");
+            let error = error.of_ping(1.0 / pulse.weakest_window(rate_hz));
             println!("{} points, {pulse:?}: {error:.1e}", filter.oversample);
             assert!(error < 3e-4, "{pulse:?}: {error:e}");
         }
