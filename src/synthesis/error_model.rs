@@ -91,7 +91,8 @@ pub struct EchoStatistics {
     pub closing_of_echoes_m_per_s: f64,
     /// Second derivative of the range, mean of both legs, metres per second squared.
     pub range_acceleration_m_per_s2: f64,
-    /// Third derivative of the range, mean of both legs, metres per second cubed.
+    /// Third derivative of the range that leaves as much at an end of a pulse as all orders above the second about mid-pulse,
+    /// mean of both legs, metres per second cubed.
     pub range_jerk_m_per_s3: f64,
     /// Acceleration of an element along the ray, metres per second squared.
     pub acceleration_m_per_s2: f64,
@@ -99,6 +100,9 @@ pub struct EchoStatistics {
     pub turning_m_per_s: f64,
     /// Change of the acceleration of a transmitter or element along the ray, within a pulse, metres per second squared.
     pub acceleration_change_m_per_s2: f64,
+    /// Step of the acceleration at mid-pulse after which the end of the pulse is as far off as it is, mean of both legs along the
+    /// rays, metres per second squared.
+    pub unsteady_m_per_s2: f64,
     /// Component along the ray of the motion of an element across its array, metres per second.
     pub across_m_per_s: f64,
     /// Ratio of the summed error of echoes with random phases, in the worst window of any element, to its root mean square. It

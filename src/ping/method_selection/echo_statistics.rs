@@ -11,7 +11,7 @@ use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW};
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW, Pulse};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics};
@@ -37,8 +37,8 @@ const OVERLAPPING: f64 = 1.3;
 const PARTS: usize = 4;
 
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
-/// acceleration, turning, change of acceleration.
-const QUANTITIES: usize = 7;
+/// acceleration, turning, change of acceleration, unsteadiness.
+const QUANTITIES: usize = 8;
 /// These quantities.
 pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] {
     [
@@ -49,14 +49,117 @@ pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] 
         &mut echoes.acceleration_m_per_s2,
         &mut echoes.turning_m_per_s,
         &mut echoes.acceleration_change_m_per_s2,
+        &mut echoes.unsteady_m_per_s2,
     ]
 }
 
-/// How their phases grow within an echo: t^0, t^1, t^2, each with a mean square of 1 over the echo. The third order is about mid-pulse, and as large
-/// at both ends.
-const GROWTH: [i32; QUANTITIES] = [0, 1, 2, 0, 0, 0, 0];
-/// The last instant of an echo over the last part of a window's worth of it, for each of these powers: sqrt(3/2.31) and sqrt(5/3.05).
-const LAST_INSTANT: [f64; 3] = [1.0, 1.14, 1.28];
+/// How their phases grow within an echo, in the order of the quantities.
+const GROWTH: [Growth; QUANTITIES] = [
+    Growth::Constant,
+    Growth::Linear,
+    Growth::Square,
+    Growth::Cubic,
+    Growth::Constant,
+    Growth::Constant,
+    Growth::Constant,
+    Growth::Unsteady,
+];
+
+/// A phase within an echo, over the share t of the pulse.
+#[derive(Clone, Copy)]
+enum Growth {
+    Constant,
+    /// t and t^2, each with a mean square of 1 over the pulse.
+    Linear,
+    Square,
+    /// The third order about mid-pulse, 1 at both ends: (2 t - 1)^3.
+    Cubic,
+    /// A track off the parabola with its velocities at both ends, 1 at the end. A step of the acceleration at t = s has t^2/s before and
+    /// ((1 - s) t^2 - (t - s)^2)/(s (1 - s)) after it; all are below 2 t - t^2.
+    Unsteady,
+}
+
+const GROWTHS: usize = 5;
+
+impl Growth {
+    const ALL: [Self; GROWTHS] = [
+        Self::Constant,
+        Self::Linear,
+        Self::Square,
+        Self::Cubic,
+        Self::Unsteady,
+    ];
+
+    fn at(self, t: f64) -> f64 {
+        match self {
+            Self::Constant => 1.0,
+            Self::Linear => 3f64.sqrt() * t,
+            Self::Square => 5f64.sqrt() * t * t,
+            Self::Cubic => (2.0 * t - 1.0).powi(3),
+            Self::Unsteady => 2.0 * t - t * t,
+        }
+    }
+}
+
+/// Instants of a pulse at which its energy is tabled.
+const STEPS: usize = 128;
+
+/// The energy of a pulse up to an instant, of a mean of 1: by itself, times each [`Growth`], and times its square. Flanks have little.
+struct Energies {
+    alone: [f64; STEPS + 1],
+    grown: [[f64; STEPS + 1]; GROWTHS],
+    squared: [[f64; STEPS + 1]; GROWTHS],
+    /// Of a window that holds no more than the end of an echo, the worst error over the rms of the last part of the echo.
+    last: [f64; GROWTHS],
+}
+
+impl Energies {
+    fn new(pulse: &Pulse) -> Self {
+        let step = 1.0 / STEPS as f64;
+        let levels: [f64; STEPS] = std::array::from_fn(|i| {
+            let t = (i as f64 + 0.5) * step;
+            pulse.envelope(t * pulse.duration_s).norm_sqr()
+        });
+        let mean = levels.iter().sum::<f64>() * step;
+        let upto = |of: &dyn Fn(f64) -> f64| {
+            let mut all = [0.0; STEPS + 1];
+            for (i, level) in levels.iter().enumerate() {
+                all[i + 1] = all[i] + step * level / mean * of((i as f64 + 0.5) * step);
+            }
+            all
+        };
+        let alone = upto(&|_| 1.0);
+        let grown = Growth::ALL.map(|growth| upto(&|t| growth.at(t)));
+        let squared = Growth::ALL.map(|growth| upto(&|t| growth.at(t).powi(2)));
+        let floor = libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
+        let part = STEPS - STEPS / PARTS;
+        let last = std::array::from_fn(|g| {
+            let from = |i: usize| {
+                let energy = alone[STEPS] - alone[i];
+                (squared[g][STEPS] - squared[g][i]) / energy.max(floor)
+            };
+            let worst = (part..STEPS).map(from).fold(0.0, f64::max);
+            (worst / from(part).max(f64::MIN_POSITIVE)).sqrt()
+        });
+        Self {
+            alone,
+            grown,
+            squared,
+            last,
+        }
+    }
+}
+
+/// Differences of a table between two shares of the pulse.
+fn between(table: &[f64; STEPS + 1], (from, to): (f64, f64)) -> f64 {
+    let at = |t: f64| {
+        let i = t * STEPS as f64;
+        let below = (i as usize).min(STEPS - 1);
+        table[below] + (i - below as f64) * (table[below + 1] - table[below])
+    };
+    at(to) - at(from)
+}
+
 /// A window with fewer echoes than this, by their energies, is one echo or the end of one; with fewer than the second, mostly.
 const ALONE: f64 = 1.001;
 const SINGLE: f64 = 1.25;
@@ -84,6 +187,8 @@ struct Part {
     /// Of the loudest echo, all of it, and what of it sounds here.
     loudest: f64,
     loudest_here: f64,
+    /// What of the energy is in the first or last quarter of an echo.
+    ends: f64,
     /// Sum of the products of the energies of two different echoes, from above: what interferes.
     mixed: f64,
     /// Of the echoes that begin here: how many, their energy, and the sum of its squares.
@@ -101,6 +206,7 @@ impl Part {
         }
         self.across2 += other.across2;
         self.closing2 += other.closing2;
+        self.ends += other.ends;
         self.loudest = self.loudest.max(other.loudest);
         // Echoes that do not sound at the same time do not interfere.
         self.mixed += other.energy * other.energy - other.loudest_here * other.loudest_here;
@@ -111,18 +217,32 @@ impl Part {
     }
 
     /// Of an echo what sounds here, `from` and `to` in pulses.
-    fn add(&mut self, energy: f64, whole: f64, (from, to): (f64, f64), echo: &EchoMotion) {
-        let share = energy * (to - from);
+    fn add(
+        &mut self,
+        energies: &Energies,
+        energy: f64,
+        whole: f64,
+        span: (f64, f64),
+        echo: &EchoMotion,
+    ) {
+        let part = between(&energies.alone, span);
+        let share = energy * part;
         self.energy += share;
         self.loudest = self.loudest.max(whole);
-        self.loudest_here = self.loudest_here.max(whole * (to - from));
+        self.loudest_here = self.loudest_here.max(whole * part);
+        let middle = (span.0.clamp(0.25, 0.75), span.1.clamp(0.25, 0.75));
+        self.ends += share - energy * between(&energies.alone, middle);
+        let mut all = [(0.0, 0.0); GROWTHS];
+        for (g, all) in all.iter_mut().enumerate() {
+            *all = (
+                between(&energies.grown[g], span),
+                between(&energies.squared[g], span),
+            );
+        }
         for (q, value) in echo.values.into_iter().enumerate() {
-            // Phases of Doppler grow with time, those of its change with the square: the end of a pulse has more of them than its beginning.
-            let k = GROWTH[q];
-            let grown = |power: i32| energy * (to.powi(power) - f64::powi(from, power));
-            let unit = f64::from(2 * k + 1);
-            self.sums[q] += value * unit.sqrt() / f64::from(k + 1) * grown(k + 1);
-            self.squares[q] += value * value * grown(2 * k + 1);
+            let (grown, squared) = all[GROWTH[q] as usize];
+            self.sums[q] += value * energy * grown;
+            self.squares[q] += value * value * energy * squared;
         }
         self.across2 += share * echo.across_m_per_s.powi(2);
         self.closing2 += share * echo.values[1].powi(2);
@@ -135,11 +255,22 @@ impl Part {
     /// Between them, the energy of a window varies as the products of the energies of different echoes do.
     ///
     /// The last value is the same for errors of random phase with a mean square of 1 over every echo.
-    fn amounts(&self, floor: f64, looks: f64, independent: f64) -> ([f64; QUANTITIES], f64) {
+    ///
+    /// `last`: of [`Energies`].
+    fn amounts(
+        &self,
+        last: &[f64; GROWTHS],
+        floor: f64,
+        looks: f64,
+        independent: f64,
+    ) -> ([f64; QUANTITIES], f64) {
         let energy = self.energy.max(f64::MIN_POSITIVE);
         let of_part = (independent / PARTS as f64).max(1.0);
         let n = energy * energy * of_part / self.mixed.max(f64::MIN_POSITIVE);
-        let (ratio, peak) = (fades::worst_ratio(looks, n), fades::worst_peak(looks, n));
+        let (ratio, peak) = (
+            fades::worst_ratio_of_pulses(looks, n),
+            fades::worst_peak(looks, n),
+        );
         let crowd = energy / self.loudest.max(f64::MIN_POSITIVE);
         let mut amounts = [0.0; QUANTITIES];
         for (q, amount) in amounts.iter_mut().enumerate() {
@@ -149,10 +280,12 @@ impl Part {
             let all = (square * ratio).sqrt();
             let alone = all.min(mean + (variance * ratio).sqrt());
             let on_floor = (square * peak * energy / floor).sqrt();
+            let last = last[GROWTH[q] as usize];
             let margin = match crowd {
-                ..ALONE => LAST_INSTANT[GROWTH[q] as usize],
-                ..SINGLE => LAST_INSTANT[GROWTH[q] as usize] * SAMPLED,
-                _ => OVERLAPPING,
+                ..ALONE => last,
+                ..SINGLE => last * SAMPLED,
+                // Where all that sounds is ends, these may be cut as short as that of a lone echo.
+                _ => OVERLAPPING.max(last * self.ends / energy),
             };
             *amount = alone.min(on_floor) * margin;
         }
@@ -175,8 +308,7 @@ pub fn echo_statistics(
     let part_s = window_s / PARTS as f64;
     let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
     let looks = ((windows * PARTS * elements).max(2) as f64).ln();
-    // Autocorrelated over a pulse, a pulse's length of samples has two degrees of freedom and more.
-    let independent = (1.0 + plan.pulse.bandwidth_hz * window_s).max(2.0);
+    let independent = fades::independent_of_pulse(&plan.pulse, window_s);
     let mut worst = [0.0f64; QUANTITIES];
     let (mut across2, mut closing2) = (0.0f64, 0.0f64);
     let mut sounded = false;
@@ -184,6 +316,7 @@ pub fn echo_statistics(
     let mut crowd = 1.0f64;
     let mut fading = 1.0f64;
     let (mut strongest_share, mut echoes) = (0.0f64, 0.0);
+    let energies = Energies::new(&plan.pulse);
     let mut parts = vec![Part::default(); windows * PARTS];
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
@@ -194,7 +327,7 @@ pub fn echo_statistics(
             parts.fill(Part::default());
             let ends = (array, element);
             let receiver = ReceivingElement::new(spec, plan, transmit, ends, INSTANTS);
-            receiver.accumulate(plan, scatterers, part_s, &mut parts);
+            receiver.accumulate(plan, scatterers, &energies, part_s, &mut parts);
             echoes += each * parts.iter().map(|part| part.echoes).sum::<f64>();
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
             if mean == 0.0 {
@@ -217,7 +350,7 @@ pub fn echo_statistics(
                 strongest_share = strongest_share.max(window.loudest / against);
                 across2 = across2.max(window.across2 / against);
                 closing2 = closing2.max(window.closing2 / against);
-                let (amounts, faded) = window.amounts(floor, looks, independent);
+                let (amounts, faded) = window.amounts(&energies.last, floor, looks, independent);
                 fading = fading.max(faded);
                 for (worst, amount) in worst.iter_mut().zip(amounts) {
                     *worst = worst.max(amount);
@@ -233,6 +366,7 @@ pub fn echo_statistics(
         acceleration,
         turning,
         acceleration_change,
+        unsteady,
     ] = worst;
     sounded.then(|| EchoStatistics {
         displacement_m: displacement,
@@ -243,6 +377,7 @@ pub fn echo_statistics(
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
         acceleration_change_m_per_s2: acceleration_change,
+        unsteady_m_per_s2: unsteady,
         across_m_per_s: across2.sqrt(),
         spread: 1.0
             + (spread(plan, window_s, windows * elements, crowd) - 1.0) * (1.0 - 1.0 / crowd),
@@ -341,7 +476,7 @@ fn near(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<usize
         .collect()
 }
 
-/// So many ways of the platform during a pulse away, series in that way converge well.
+/// So many ways of the platform during a pulse away, a range is expanded about mid-pulse (`echo::stretch`).
 const NEAR_WAYS: f64 = 5.0;
 
 impl EchoPeaks {
@@ -386,6 +521,7 @@ struct ReceivingElement {
     transmit_m_per_s: DVec3,
     transmit_m_per_s2: DVec3,
     transmit_change_m_per_s2: DVec3,
+    transmit_unsteady_m_per_s2: DVec3,
     transmit_from_world: DMat3,
     transmit_leg: Directivity,
     element: Directivity,
@@ -397,11 +533,104 @@ struct ReceivingElement {
     at: Vec<At>,
 }
 
+/// Places on a line where elements are looked at, from the nearest to a scatterer, in distances of that one: what the pulse leaves of a leg changes
+/// with the direction of the ray, by less than [`SAMPLED`] from one place to the next.
+const NEAR_PLACES: [f64; 7] = [-1.5, -0.8, -0.35, 0.0, 0.35, 0.8, 1.5];
+
+/// Times within a pulse from which the track is looked at, and within a step of the table, at most; shorter pulses take the change of the tabled
+/// acceleration, which is greater.
+const LOOKS_OF_A_PULSE: f64 = 4.0;
+const MAX_LOOKS: f64 = 8.0;
+
+/// The acceleration that is off by as much, at the end of a pulse that begins at `t_s`, as the track of a point is off the parabola with its velocities at
+/// both ends: of a step of A in the acceleration at mid-pulse the end is off by A T^2/8. With p the place and v the velocity,
+///
+/// ```text
+/// off = p(T) - p(0) - (v(0) + v(T)) T/2
+/// ```
+///
+/// This is the parabola of `stretch-quadratic`, whose acceleration is the mean over the pulse.
+fn unsteady_m_per_s2(plan: &PingPlan, arm_m: DVec3, t_s: f64) -> DVec3 {
+    let pulse_s = plan.pulse.duration_s;
+    let begin = plan.trajectory.pose_at(t_s);
+    let end = plan.trajectory.pose_from(begin.position_m, t_s + pulse_s);
+    let moved_m = end.point_m(arm_m) - (begin.point_m(arm_m) - begin.position_m);
+    let speeds = begin.point_velocity_m_per_s(arm_m) + end.point_velocity_m_per_s(arm_m);
+    let off_m = moved_m - speeds * (0.5 * pulse_s);
+    if off_m.length() < STILL_M {
+        return DVec3::ZERO;
+    }
+    off_m * (8.0 / (pulse_s * pulse_s))
+}
+
+/// Rounding of places, metres.
+const STILL_M: f64 = 1e-13;
+
+/// One leg at the leading edge: from the sonar's end, which moves, to the scatterer.
+#[derive(Clone, Copy)]
+struct Leg {
+    ray_m: DVec3,
+    velocity_m_per_s: DVec3,
+    acceleration_m_per_s2: DVec3,
+}
+
+impl Leg {
+    /// Length, rate and its change, so much later.
+    fn at(&self, later_s: f64) -> [f64; 3] {
+        let a = self.acceleration_m_per_s2;
+        let ray_m = self.ray_m - (self.velocity_m_per_s + a * (0.5 * later_s)) * later_s;
+        let velocity = self.velocity_m_per_s + a * later_s;
+        let range_m = ray_m.length().max(f64::MIN_POSITIVE);
+        let closing = velocity.dot(ray_m) / range_m;
+        let across2 = (velocity.length_squared() - closing * closing).max(0.0);
+        let second = across2 / range_m - a.dot(ray_m) / range_m;
+        [range_m, -closing, second]
+    }
+
+    /// Mean of the second derivatives of this leg and another, and of the third derivatives that leave as much at an end of the pulse as
+    /// `stretch-quadratic` leaves of both legs: r''' h^3/6 a leg, h half the pulse.
+    ///
+    /// The range less its parabola about mid-pulse is taken as it is, with all orders. A leg that is too short for the parabola keeps the rate of its
+    /// leading edge, and lacks all orders from the second on.
+    fn with(&self, other: &Self, pulse_s: f64) -> [f64; 2] {
+        let half_s = 0.5 * pulse_s;
+        let legs = [self, other];
+        let [begin, middle, end] = [0.0, half_s, pulse_s].map(|t_s| legs.map(|leg| leg.at(t_s)));
+        let second = 0.5 * (begin[0][2] + begin[1][2]);
+        let moved_m = legs.map(|leg| leg.velocity_m_per_s.length() * pulse_s);
+        let is_near = begin[0][0].min(begin[1][0]) < NEAR_WAYS * moved_m[0].max(moved_m[1]);
+        let off_m = |k: usize| match is_near {
+            true => {
+                let [range_m, rate, _] = begin[k];
+                [0.0, end[k][0] - range_m - rate * pulse_s]
+            }
+            false => {
+                let [range_m, rate, second] = middle[k];
+                let even_m = range_m + 0.5 * second * half_s * half_s;
+                [
+                    begin[k][0] - even_m + rate * half_s,
+                    end[k][0] - even_m - rate * half_s,
+                ]
+            }
+        };
+        let (one, two) = (off_m(0), off_m(1));
+        let ends_m = [one[0] + two[0], one[1] + two[1]];
+        let worst_m = if ends_m[0].abs() > ends_m[1].abs() {
+            ends_m[0]
+        } else {
+            ends_m[1]
+        };
+        let third = 3.0 * worst_m / half_s.powi(3);
+        [second, third]
+    }
+}
+
 /// The way of an echo: directions, lengths, and the element where it is heard.
 struct Ray {
     out: DVec3,
     out_range_m: f64,
     instant: usize,
+    since_s: f64,
     here_m: DVec3,
     back: DVec3,
     back_range_m: f64,
@@ -415,6 +644,8 @@ struct At {
     acceleration_m_per_s2: DVec3,
     /// Of the acceleration within a pulse that begins here.
     change_m_per_s2: DVec3,
+    /// See [`unsteady_m_per_s2`].
+    unsteady_m_per_s2: DVec3,
     turning_m_per_s: DVec3,
     array_from_world: DMat3,
     /// Along its array.
@@ -462,11 +693,27 @@ impl ReceivingElement {
         let of_transmitter: Vec<DVec3> = (0..=pulse_steps)
             .map(|k| acceleration(k as f64 * step_s, place))
             .collect();
+        // Pulses that begin between two instants see a step of the acceleration at another time.
+        let looks = (LOOKS_OF_A_PULSE * step_s / plan.pulse.duration_s).ceil();
+        let unsteady = |t_s: f64, change: DVec3| {
+            if looks > MAX_LOOKS {
+                return change;
+            }
+            let from_s = (0..=looks as usize).map(|k| t_s + k as f64 / looks * step_s);
+            let all = from_s.map(|t_s| unsteady_m_per_s2(plan, arm_m, t_s));
+            all.fold(DVec3::ZERO, |most, off| {
+                match off.length() > most.length() {
+                    true => off,
+                    false => most,
+                }
+            })
+        };
         Self {
             transmit_m: start.point_m(place),
             transmit_m_per_s: start.point_velocity_m_per_s(place),
             transmit_m_per_s2: acceleration(0.0, place),
             transmit_change_m_per_s2: largest(&of_transmitter),
+            transmit_unsteady_m_per_s2: unsteady_m_per_s2(plan, place, 0.0),
             transmit_from_world: DMat3::from_quat(
                 (start.world_from_body * transmit.mounting.body_from_array).inverse(),
             ),
@@ -490,6 +737,7 @@ impl ReceivingElement {
                         velocity_m_per_s: velocity,
                         acceleration_m_per_s2: accelerations[k],
                         change_m_per_s2: change(k),
+                        unsteady_m_per_s2: unsteady(t_s, change(k)),
                         turning_m_per_s: velocity - pose.velocity_m_per_s,
                         array_from_world: DMat3::from_quat(
                             (pose.world_from_body * array.mounting.body_from_array).inverse(),
@@ -517,6 +765,7 @@ impl ReceivingElement {
             out: out_m / out_range_m,
             out_range_m,
             instant,
+            since_s,
             here_m,
             back: back_m / back_range_m,
             back_range_m,
@@ -526,52 +775,53 @@ impl ReceivingElement {
     /// Distance of a scatterer from the nearest element of the array.
     fn line_distance_m(&self, ray: &Ray, at: &At) -> f64 {
         let back_m = ray.back * ray.back_range_m;
-        let (low, high) = (self.line_m.min(0.0), self.line_m.max(0.0));
-        let along_m = back_m.dot(at.axis).clamp(low, high);
-        (back_m - at.axis * along_m).length()
+        (back_m - at.axis * self.on_line_m(back_m.dot(at.axis))).length()
+    }
+
+    /// The place on the array nearest to one so far along its axis from this element.
+    fn on_line_m(&self, along_m: f64) -> f64 {
+        along_m.clamp(self.line_m.min(0.0), self.line_m.max(0.0))
     }
 
     fn motion(&self, ray: &Ray) -> EchoMotion {
         let at = &self.at[ray.instant];
-        let (v_out, v_back) = (self.transmit_m_per_s, at.velocity_m_per_s);
+        // The acceleration is the mean up to the next instant, so the velocity is exact there too.
+        let v_back = at.velocity_m_per_s + at.acceleration_m_per_s2 * ray.since_s;
+        let v_out = self.transmit_m_per_s;
         let (closing_out, closing_back) = (v_out.dot(ray.out), v_back.dot(ray.back));
         // What is nearer than a wavelength is no far field of anything; see [`crate::conditions`].
         let at_least = |range_m: f64| range_m.max(self.one_way.wavelength_m);
-        // Of a leg of length r: r'' = (v^2 - r'^2)/r - a.e, r''' = 3 (v.a - r' r'')/r.
-        let leg = |v: DVec3, closing: f64, a: DVec3, ray: DVec3, range_m: f64| {
-            let second = (v.length_squared() - closing * closing) / range_m - a.dot(ray);
-            (second, 3.0 * (v.dot(a) + closing * second) / range_m)
+        let transmit = Leg {
+            ray_m: ray.out * at_least(ray.out_range_m),
+            velocity_m_per_s: v_out,
+            acceleration_m_per_s2: self.transmit_m_per_s2,
         };
-        let legs = [
-            leg(
-                v_out,
-                closing_out,
-                self.transmit_m_per_s2,
-                ray.out,
-                at_least(ray.out_range_m),
-            ),
-            leg(
-                v_back,
-                closing_back,
-                at.acceleration_m_per_s2,
-                ray.back,
-                at_least(ray.back_range_m),
-            ),
-        ];
-        let mut change = [0.5 * (legs[0].0 + legs[1].0), 0.5 * (legs[0].1 + legs[1].1)];
-        // Elements between the ends may be nearer, and what is very near soon lies in another direction: 2/sqrt(3) v^3/d^2 is the greatest of
-        // 3 v r'(1 - r'^2/v^2) v/d^2.
+        let receive = Leg {
+            ray_m: ray.back * at_least(ray.back_range_m),
+            velocity_m_per_s: v_back,
+            acceleration_m_per_s2: at.acceleration_m_per_s2,
+        };
+        let mut change = transmit.with(&receive, self.pulse_s);
+        // Elements between the ends may be nearer.
         let ends_m = ray.out_range_m.min(ray.back_range_m);
-        let nearest_m = at_least(self.line_distance_m(ray, at).min(ends_m));
-        let v = v_back.length();
-        if nearest_m < (NEAR_LINE * ends_m).max(NEAR_WAYS * v * self.pulse_s) {
-            let a = at.acceleration_m_per_s2.length();
-            let most = [
-                v * v / nearest_m + a,
-                (2.0 / 3f64.sqrt() * v * v / nearest_m + 3.0 * a) * v / nearest_m,
-            ];
-            for ((value, most), leg) in change.iter_mut().zip(most).zip([legs[0].0, legs[0].1]) {
-                *value = value.abs().max(0.5 * (leg.abs() + most));
+        let nearest_m = self.line_distance_m(ray, at);
+        if nearest_m < NEAR_LINE * ends_m {
+            let closest_m = (ray.back * ray.back_range_m).dot(at.axis);
+            for distances in NEAR_PLACES {
+                let along_m = self.on_line_m(closest_m + distances * nearest_m);
+                let ray_m = ray.back * ray.back_range_m - at.axis * along_m;
+                let between = Leg {
+                    ray_m: ray_m.normalize_or_zero() * at_least(ray_m.length()),
+                    ..receive
+                };
+                let there = transmit.with(&between, self.pulse_s);
+                for (value, there) in change.iter_mut().zip(there) {
+                    *value = if there.abs() > value.abs() {
+                        there
+                    } else {
+                        *value
+                    };
+                }
             }
         }
         EchoMotion {
@@ -586,6 +836,8 @@ impl ReceivingElement {
                     .dot(ray.out)
                     .abs()
                     .max(at.change_m_per_s2.dot(ray.back).abs()),
+                0.5 * (self.transmit_unsteady_m_per_s2.dot(ray.out)
+                    + at.unsteady_m_per_s2.dot(ray.back)),
             ],
             across_m_per_s: closing_back - v_back.dot(at.axis) * at.axis.dot(ray.back),
         }
@@ -595,6 +847,7 @@ impl ReceivingElement {
         &self,
         plan: &PingPlan,
         scatterers: &Scatterers,
+        energies: &Energies,
         part_s: f64,
         parts: &mut [Part],
     ) {
@@ -653,7 +906,7 @@ impl ReceivingElement {
                     break;
                 }
                 let to = (((k + 1) as f64 - begins) / length).min(1.0);
-                part.add(energy, energy / weight, (from, to), &echo);
+                part.add(energies, energy, energy / weight, (from, to), &echo);
                 from = to;
             }
         }
@@ -771,7 +1024,7 @@ mod tests {
                 window = window.and(&part);
             }
             let looks = f64::from(trials).ln();
-            let (amounts, _) = window.amounts(1e-9, looks, SAMPLES as f64);
+            let (amounts, _) = window.amounts(&[1.0; GROWTHS], 1e-9, looks, SAMPLES as f64);
             println!("{amplitudes:?}: {worst:.2e}, predicted {:.2e}", amounts[0]);
             // A lone echo is predicted exactly.
             assert!(
@@ -785,5 +1038,92 @@ mod tests {
                 amounts[0]
             );
         }
+    }
+
+    /// Legs of a platform that flies past: far away the third derivatives, near by all that is left beyond the leading edge's rate.
+    #[test]
+    fn what_a_pulse_leaves_of_a_range_is_its_third_derivative_or_all_of_it() {
+        let pulse_s = 5e-3;
+        let leg = |ray_m: DVec3| Leg {
+            ray_m,
+            velocity_m_per_s: DVec3::new(6.0, -2.0, 0.5),
+            acceleration_m_per_s2: DVec3::new(0.4, 0.7, -1.0),
+        };
+        let transmit = leg(DVec3::new(5.0, 9.0, 4.0));
+        let receive = leg(DVec3::new(6.0, 8.0, 4.0));
+        let third = |leg: &Leg| {
+            // At mid-pulse: r''' = 3 (v.a - r' r'')/r.
+            let a = leg.acceleration_m_per_s2;
+            let v = leg.velocity_m_per_s + a * (0.5 * pulse_s);
+            let [range_m, rate, second] = leg.at(0.5 * pulse_s);
+            3.0 * (v.dot(a) - rate * second) / range_m
+        };
+        let [_, got] = transmit.with(&receive, pulse_s);
+        let want = 0.5 * (third(&transmit) + third(&receive));
+        println!("far: {got:.4e}, {want:.4e}");
+        assert!((got.abs() / want.abs() - 1.0).abs() < 0.01, "{got} {want}");
+
+        let near = Leg {
+            acceleration_m_per_s2: DVec3::ZERO,
+            ..leg(DVec3::new(0.03, 0.09, 0.0))
+        };
+        let [_, got] = near.with(&near, pulse_s);
+        let off_m = got * (0.5 * pulse_s).powi(3) / 3.0;
+        let end_m = (near.ray_m - near.velocity_m_per_s * pulse_s).length();
+        let rate = -near.velocity_m_per_s.dot(near.ray_m) / near.ray_m.length();
+        let want_m = 2.0 * (end_m - near.ray_m.length() - rate * pulse_s);
+        println!("near: {off_m:.4e} m, {want_m:.4e} m");
+        assert!((off_m / want_m - 1.0).abs() < 1e-9, "{off_m} {want_m}");
+    }
+
+    /// A step of the acceleration, anywhere in a pulse, against the parabola with the velocities of both ends.
+    #[test]
+    fn an_unsteady_track_is_off_by_no_more_than_its_shape() {
+        for at in [0.05, 0.3, 0.5, 0.8, 0.95] {
+            let off = |t: f64| 0.5 * ((t - at).max(0.0).powi(2) - (1.0 - at) * t * t);
+            for k in 0..=50 {
+                let t = f64::from(k) / 50.0;
+                let share = off(t) / off(1.0);
+                assert!(
+                    share <= Growth::Unsteady.at(t) + 1e-12,
+                    "{at}, {t}: {share}"
+                );
+            }
+        }
+    }
+
+    /// Under a full taper the ends of a pulse hardly sound. The third order of a sharp pulse has a mean square of 1/7.
+    #[test]
+    fn flanks_take_the_ends_of_a_pulse() {
+        let of = |taper: f64| {
+            Energies::new(&Pulse {
+                kind: echotank_core::pulse::PulseKind::Cw,
+                center_frequency_hz: 100e3,
+                bandwidth_hz: 0.0,
+                duration_s: 1e-3,
+                taper,
+            })
+        };
+        let cubic = Growth::Cubic as usize;
+        let whole = |energies: &Energies| between(&energies.squared[cubic], (0.0, 1.0));
+        let sharp = of(0.0);
+        assert!(
+            (7.0 * whole(&sharp) - 1.0).abs() < 1e-3,
+            "{}",
+            whole(&sharp)
+        );
+        // Over a quarter at an end, (1 - 2^-7)/(14/4).
+        assert!(
+            (sharp.last[cubic] - 1.88).abs() < 0.05,
+            "{}",
+            sharp.last[cubic]
+        );
+        let (all, energy) = (0..10_000).fold((0.0, 0.0), |(all, energy), k| {
+            let t = (f64::from(k) + 0.5) / 1e4;
+            let level = (TAU / 2.0 * t).sin().powi(4);
+            (all + level * (2.0 * t - 1.0).powi(6), energy + level)
+        });
+        let smooth = whole(&of(1.0));
+        assert!((smooth * energy / all - 1.0).abs() < 1e-2, "{smooth}");
     }
 }

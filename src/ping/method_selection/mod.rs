@@ -120,8 +120,8 @@ impl MotionScale {
         turning: 1.0,
     };
 
-    /// Of an echo's displacement, closing speed, range acceleration, its rate, acceleration, turning and change of acceleration.
-    pub(crate) fn factors(&self) -> [f64; 7] {
+    /// Of an echo's displacement, closing speed, range acceleration, its rate, acceleration, turning, change of acceleration and unsteadiness.
+    pub(crate) fn factors(&self) -> [f64; 8] {
         let range_acceleration = self.acceleration.max(self.speed * self.speed);
         [
             self.speed,
@@ -130,6 +130,7 @@ impl MotionScale {
             self.speed * range_acceleration,
             self.acceleration,
             self.turning,
+            self.acceleration,
             self.acceleration,
         ]
     }

@@ -20,7 +20,7 @@ use super::phasor::{LANES, cis, cis_lanes};
 const RESTART: usize = 64 * LANES;
 
 /// Maximum phase error of a run from the neglected cubic part, in turns. It limits the length of runs with a changing stretch.
-const CUBIC_TURNS: f64 = 1e-7;
+pub(crate) const CUBIC_TURNS: f64 = 1e-7;
 
 /// Sink that adds echoes to the samples of one element.
 pub struct Direct<'a> {

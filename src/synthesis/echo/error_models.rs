@@ -7,6 +7,7 @@
 
 use std::f64::consts::TAU;
 
+use crate::array::direct::CUBIC_TURNS;
 use crate::error_model::{Conditions, ErrorModel, MethodRefused};
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel};
@@ -48,10 +49,14 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     (strongest_share / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
 }
 
-/// Minimum error of all models. On a platform at rest every model is the same sum of two lengths,
+fn is_at_rest(conditions: &Conditions) -> bool {
+    conditions.speed_m_per_s == 0.0 && conditions.acceleration_m_per_s2 == 0.0
+}
+
+/// Minimum error of all path models. On a platform at rest every model is the same sum of two lengths,
 /// and a delay is rounded twice. The measured error is 0.2 to 1 of one rounding.
 fn floor(conditions: &Conditions) -> f64 {
-    if conditions.speed_m_per_s > 0.0 || conditions.acceleration_m_per_s2 > 0.0 {
+    if !is_at_rest(conditions) {
         return F64_FLOOR;
     }
     2.0 * 0.5 * f64::EPSILON * conditions.wavenumber_per_m() * 2.0 * conditions.range_m.1
@@ -66,18 +71,17 @@ struct MotionTerms {
     displacement_m: f64,
     closing: f64,
     range_acceleration: f64,
-    range_jerk: f64,
     acceleration: f64,
-    /// Change of the acceleration within a pulse, and within a chord and a pulse.
+    /// Rest of the range at an end of the pulse beyond the second order about mid-pulse, of both legs together.
+    third_m: f64,
+    /// Change of the acceleration within a pulse (as a step at mid-pulse), and within a chord and a pulse.
     pulse_change: f64,
     chord_change: f64,
     turning: f64,
     spread: f64,
+    /// Of errors of random phase.
+    fading: f64,
 }
-
-/// Allowance for terms beyond the third order and for the sample of echoes: without it, one of 97 rigs of
-/// `tools/points_random.py` was above the prediction (90001-46), by 2 %.
-const FIRST_TERM: f64 = 1.25;
 
 /// Changes of the acceleration where the motion is unknown, over the acceleration.
 const UNKNOWN_CHANGES: [f64; 2] = [0.02, 0.25];
@@ -86,14 +90,15 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
     let v = conditions.speed_m_per_s;
     let a = conditions.acceleration_m_per_s2;
     let t = conditions.pulse.duration_s;
+    let cubic_m = |range_jerk: f64| range_jerk / 3.0 * (t / 2.0).powi(3);
     match conditions.echo_statistics {
         Some(echoes) => MotionTerms {
             displacement_m: echoes.displacement_m,
             closing: echoes.closing_m_per_s,
             range_acceleration: echoes.range_acceleration_m_per_s2,
-            range_jerk: echoes.range_jerk_m_per_s3,
+            third_m: cubic_m(echoes.range_jerk_m_per_s3),
             acceleration: echoes.acceleration_m_per_s2,
-            pulse_change: echoes.acceleration_change_m_per_s2,
+            pulse_change: echoes.unsteady_m_per_s2,
             // Of a chord and a pulse there are so many pulses, each with no more change than that.
             chord_change: (echoes.acceleration_change_m_per_s2 * (1.0 + conditions.segment_s / t))
                 .min(UNKNOWN_CHANGES[1] * echoes.acceleration_m_per_s2)
@@ -101,17 +106,21 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
             turning: echoes.turning_m_per_s,
             // Of their own interference the statistics know.
             spread: 1.0,
+            fading: echoes.fading,
         },
         None => MotionTerms {
             displacement_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
             closing: v,
             range_acceleration: v * v / conditions.range_m.0 + a,
-            range_jerk: 4.5 * v * (v * v / conditions.range_m.0 + a) / conditions.range_m.0,
+            third_m: cubic_m(4.5 * v * (v * v / conditions.range_m.0 + a) / conditions.range_m.0)
+                * all_terms(0.5 * v * t / conditions.range_m.0),
             acceleration: a,
             pulse_change: UNKNOWN_CHANGES[0] * a,
             chord_change: UNKNOWN_CHANGES[1] * a,
             turning: conditions.turning_m_per_s,
             spread: 1.0,
+            // Of one window in ten thousand.
+            fading: 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz),
         },
     }
 }
@@ -208,8 +217,7 @@ struct DopplerError {
 impl DopplerError {
     fn new(doppler: DopplerModel, path: PathModel, conditions: &Conditions) -> Self {
         let Conditions {
-            speed_m_per_s: v,
-            range_m: (nearest_m, farthest_m),
+            range_m: (_, farthest_m),
             segment_s,
             sound_speed_m_per_s: c,
             pulse,
@@ -218,10 +226,11 @@ impl DopplerError {
         let MotionTerms {
             closing,
             range_acceleration,
-            range_jerk,
+            third_m,
             acceleration: a,
             pulse_change,
             chord_change,
+            fading,
             spread,
             ..
         } = motion_terms(conditions);
@@ -230,19 +239,16 @@ impl DopplerError {
         // Two-way phases of three terms: the closing speed d s, its change q s^2, and the change of q.
         let first = k * 2.0 * closing * t / 3f64.sqrt();
         let second = k * range_acceleration * t * t / 5f64.sqrt();
-        // About mid-pulse, the error at both ends is that of half a pulse cubed, of both legs. Each leg has the mean
-        // acceleration of the pulse. If it changes by A, the end of the pulse is off by A T^2/12 (evenly) or A T^2/8 (in
-        // one step at mid-pulse).
-        let third = FIRST_TERM * k / 3.0
-            * range_jerk
-            * (t / 2.0).powi(3)
-            * all_terms(0.5 * v * t / nearest_m)
-            + k * 2.0 * pulse_change * t * t / 8.0;
+        // Each leg has the mean acceleration of the pulse. If it changes by A, the end of the pulse is off by A T^2/12 (evenly)
+        // or A T^2/8 (in one step at mid-pulse).
+        let third = k * (third_m + 2.0 * pulse_change * t * t / 8.0);
         // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
         // part of the pulse that they cover.
         let curvature_per_s = range_acceleration / c;
         let cubic_turns = pulse.sweep_hz_per_s().abs() * curvature_per_s * t.powi(3) / 32.0;
-        let cubic = TAU * cubic_turns.min(1e-7) * 7f64.sqrt();
+        // A lone echo is off by that much at most. What is left over a run is the Chebyshev polynomial of third order, of
+        // mean square 17/35; the errors of many echoes have random phases, whose sum fades otherwise than the echoes'.
+        let cubic = TAU * cubic_turns.min(CUBIC_TURNS) * (fading * (17f64 / 35.0).sqrt()).max(1.0);
         let stale = match path {
             PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
             PathModel::Polyline => first_of(k, a * segment_s, t),
@@ -270,7 +276,11 @@ impl DopplerError {
             second,
             third,
             stale,
-            error: Conditions::error_of_phase(phase_rad * spread + edges).max(floor(conditions)),
+            error: match is_at_rest(conditions) {
+                // No echo is stretched.
+                true => 0.0,
+                false => Conditions::error_of_phase(phase_rad * spread + edges).max(F64_FLOOR),
+            },
         }
     }
 }
