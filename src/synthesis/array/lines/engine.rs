@@ -790,8 +790,8 @@ fn turn_by_mean_curvature(
     curvature_per_s: &[f64; CHUNK],
     rad_per_curvature: f64,
 ) {
-    for i in 0..CHUNK {
-        chunk.curvature_rad[i] = (curvature_per_s[i] * rad_per_curvature) as f32;
+    for (i, curvature_per_s) in curvature_per_s.iter().enumerate() {
+        chunk.curvature_rad[i] = (curvature_per_s * rad_per_curvature) as f32;
         let x = MEAN_CURVATURE as f32 * chunk.curvature_rad[i];
         let (sine, cosine) = (x - x * x * x / 6.0, 1.0 - 0.5 * x * x);
         let (re, im) = (chunk.re[i], chunk.im[i]);

@@ -257,8 +257,8 @@ fn squares_of_receive_legs_are_quadratic_along_the_line_but_for_motion() {
             for i in 0..fine.len {
                 let at = |node: usize| fine.middle_s[node][i];
                 let middle = nodes / 2;
-                for node in 0..nodes {
-                    let x = 2.0 * along_m[node];
+                for (node, along_m) in along_m.iter().enumerate() {
+                    let x = 2.0 * along_m;
                     let quadratic = at(middle)
                         + 0.5 * x * (at(nodes - 1) - at(0))
                         + 0.5 * x * x * (at(nodes - 1) + at(0) - 2.0 * at(middle));
