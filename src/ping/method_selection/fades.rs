@@ -77,6 +77,72 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
 
+    /// Eigenvalues of a symmetric matrix by rotations (Jacobi 1846).
+    fn eigenvalues(mut a: Vec<Vec<f64>>) -> Vec<f64> {
+        let n = a.len();
+        for _ in 0..12 {
+            for p in 0..n {
+                for q in p + 1..n {
+                    if a[p][q].abs() < 1e-14 {
+                        continue;
+                    }
+                    let angle = 0.5 * libm::atan2(2.0 * a[p][q], a[q][q] - a[p][p]);
+                    let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+                    for row in &mut a {
+                        let (x, y) = (row[p], row[q]);
+                        (row[p], row[q]) = (cosine * x - sine * y, sine * x + cosine * y);
+                    }
+                    let [low, high] = a.get_disjoint_mut([p, q]).expect("two rows");
+                    for (x, y) in low.iter_mut().zip(high) {
+                        (*x, *y) = (cosine * *x - sine * *y, sine * *x + cosine * *y);
+                    }
+                }
+            }
+        }
+        (0..n).map(|k| a[k][k]).collect()
+    }
+
+    /// The table, from the autocorrelation of a raised cosine over a window of its length.
+    #[test]
+    fn exponents_are_those_of_the_eigenvalues_of_a_raised_cosine() {
+        const SAMPLES: usize = 64;
+        let pulse = Pulse {
+            kind: PulseKind::Cw,
+            center_frequency_hz: 100e3,
+            bandwidth_hz: 0.0,
+            duration_s: 1e-3,
+            taper: 1.0,
+        };
+        let shape: Vec<f64> = (0..SAMPLES)
+            .map(|k| pulse.envelope((k as f64 + 0.5) / SAMPLES as f64 * 1e-3).re)
+            .collect();
+        let lag = |lag: usize| -> f64 { shape[lag..].iter().zip(&shape).map(|(a, b)| a * b).sum() };
+        let matrix = (0..SAMPLES)
+            .map(|i| (0..SAMPLES).map(|k| lag(i.abs_diff(k))).collect())
+            .collect();
+        let all = eigenvalues(matrix);
+        let total: f64 = all.iter().sum();
+        let shares: Vec<f64> = all.iter().map(|l| l.max(0.0) / total).collect();
+        let freedom = 1.0 / shares.iter().map(|l| l * l).sum::<f64>();
+        println!("freedom {freedom:.4}");
+        assert!((freedom / FREEDOM - 1.0).abs() < 0.005, "{freedom}");
+        let largest = shares.iter().copied().fold(0.0, f64::max);
+        for (step, exponent) in EXPONENTS.iter().enumerate() {
+            let ratio = libm::exp2(0.5 * step as f64);
+            let at = |t: f64| -> f64 {
+                let one = |l: &f64| libm::log1p(-t * l) + libm::log1p(t * ratio * l);
+                shares.iter().map(one).sum()
+            };
+            let best = (1..4000).map(|k| at(f64::from(k) / 4000.0 / largest));
+            let best = best.fold(0.0, f64::max);
+            println!("{ratio:.2}: {best:.4}, {exponent}");
+            assert!(
+                (best - exponent).abs() < 0.01 * exponent + 1e-3,
+                "{ratio}: {best}"
+            );
+        }
+    }
+
     /// Windows of noise behind a pulse, drawn: the greatest of many ratios of their energies is below the bound, and not far below.
     #[test]
     fn the_worst_ratio_of_drawn_windows_is_bounded() {

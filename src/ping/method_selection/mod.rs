@@ -715,8 +715,8 @@ impl<'a> CandidateBuilder<'a> {
             work = work
                 .and(Figure::GriddedLinesEcho, cost.echoes_ns)
                 .and(Figure::GriddedLinesGrid, cost.grids_ns);
-            let nodes = line.nodes(array, self.conditions.range_m.0);
-            solved += NODE_PER_ELEMENT * nodes.map_or(0.0, |nodes| nodes as f64);
+            let points = line.solved_points(array, self.conditions.range_m);
+            solved += NODE_PER_ELEMENT * points.unwrap_or(0.0);
             error = error.max(onsets * line.error_model().error);
             why.clone_from(&line.error_model().why);
         }

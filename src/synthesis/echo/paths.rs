@@ -822,10 +822,9 @@ mod tests {
     use super::*;
     use echotank_core::simd::SimdLevel;
 
-    #[test]
-    fn every_build_gives_the_same_bits_and_motions_are_those_of_the_leg() {
+    fn leg() -> Leg {
         let turn = DQuat::from_rotation_x(0.3) * DQuat::from_rotation_z(1.1);
-        let leg = Leg {
+        Leg {
             start_s: 0.04,
             end_s: 0.08,
             origin_m: DVec3::new(0.4, -0.2, 0.1),
@@ -839,7 +838,45 @@ mod tests {
             facing_s: 0.02,
             passed_m: f64::INFINITY,
             begun_m: 0.0,
-        };
+        }
+    }
+
+    #[test]
+    fn every_time_has_the_motion_of_the_last_leg_that_has_begun() {
+        let leg = leg();
+        let legs = [0.0, 0.04, 0.08].map(|start_s| {
+            let more = DVec3::splat(start_s);
+            let doppler = Motion {
+                velocity_m_per_s: leg.doppler.velocity_m_per_s + more,
+                acceleration_m_per_s2: leg.doppler.acceleration_m_per_s2 - more,
+            };
+            Leg {
+                start_s,
+                doppler,
+                ..leg
+            }
+        });
+        let mut times_s: Vec<f64> = (0..CHUNK)
+            .map(|k| (0.618 * k as f64).fract() * 0.12)
+            .collect();
+        times_s[..3].copy_from_slice(&[0.04, 0.08, 0.08f64.next_down()]);
+        let mut moving = [[f64::NAN; CHUNK]; 6];
+        motions_on(&legs, &times_s, &mut moving);
+        for (i, &time_s) in times_s.iter().enumerate() {
+            let leg = legs.iter().rev().find(|leg| leg.start_s <= time_s);
+            let leg = leg.expect("the first begins at 0");
+            let Motion {
+                velocity_m_per_s,
+                acceleration_m_per_s2: a,
+            } = leg.doppler;
+            let v = velocity_m_per_s + a * (time_s - leg.start_s);
+            assert_eq!(moving.map(|m| m[i]), [v.x, v.y, v.z, a.x, a.y, a.z]);
+        }
+    }
+
+    #[test]
+    fn every_build_gives_the_same_bits() {
+        let leg = leg();
         let place = |step: f64| -> Vec<f64> {
             (0..CHUNK)
                 .map(|k| 150.0 * ((k as f64 * step).fract() - 0.5))
@@ -879,35 +916,6 @@ mod tests {
                 rays.closing_m2_per_s,
             ];
             (placed, odd, solved.map(|a| a.map(f64::to_bits)))
-        }
-        // Each time has the motion of the last leg that has begun.
-        let legs = [0.0, 0.04, 0.08].map(|start_s| {
-            let more = DVec3::splat(start_s);
-            let doppler = Motion {
-                velocity_m_per_s: leg.doppler.velocity_m_per_s + more,
-                acceleration_m_per_s2: leg.doppler.acceleration_m_per_s2 - more,
-            };
-            Leg {
-                start_s,
-                doppler,
-                ..leg
-            }
-        });
-        let mut times_s: Vec<f64> = (0..CHUNK)
-            .map(|k| (0.618 * k as f64).fract() * 0.12)
-            .collect();
-        times_s[..3].copy_from_slice(&[0.04, 0.08, 0.08f64.next_down()]);
-        let mut moving = [[f64::NAN; CHUNK]; 6];
-        motions_on(&legs, &times_s, &mut moving);
-        for (i, &time_s) in times_s.iter().enumerate() {
-            let leg = legs.iter().rev().find(|leg| leg.start_s <= time_s);
-            let leg = leg.expect("the first begins at 0");
-            let Motion {
-                velocity_m_per_s,
-                acceleration_m_per_s2: a,
-            } = leg.doppler;
-            let v = velocity_m_per_s + a * (time_s - leg.start_s);
-            assert_eq!(moving.map(|m| m[i]), [v.x, v.y, v.z, a.x, a.y, a.z]);
         }
         // A single leg gives the same result as the same leg among others, except for the sign of
         // zero.

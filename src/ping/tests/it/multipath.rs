@@ -609,6 +609,11 @@ impl ArrivalSink for Dopplers {
     }
 }
 
+/// Variance of the vertical velocity of a sea under so much wind, m^2/s^2: 4.17e-3 U^2 (Pierson and Moskowitz 1964).
+fn vertical_variance(wind_m_per_s: f64) -> f64 {
+    8.1e-3 * std::f64::consts::PI.sqrt() * wind_m_per_s.powi(2) / (4.0 * 0.74f64.sqrt())
+}
+
 /// The Doppler of echoes from a surface with waves: Gaussian, with the variance of the orbital velocity along the ray, m2 sin^2 + (m2 / 2) cos^2 of the
 /// elevation, m2 = 4.17e-3 U^2 (Pierson and Moskowitz).
 #[test]
@@ -628,7 +633,7 @@ fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
         speed: 0.0,
     };
     let spec = rig(folder.path(), &setup);
-    let m2 = 8.1e-3 * std::f64::consts::PI.sqrt() * WIND * WIND / (4.0 * 0.74f64.sqrt());
+    let m2 = vertical_variance(WIND);
     let (mut sum, mut weight, mut apart) = (0.0, 0.0, Vec::new());
     let mut ping = 0;
     gather_pings(&spec, PINGS, |plan, all| {
@@ -687,7 +692,7 @@ fn waves_spread_the_doppler_of_reflections_by_their_vertical_velocity() {
     // 100 Hz wide; the waves spread the Doppler by some 30 Hz a leg.
     long.sonars[0].settings.pulse_duration_s = 0.01;
     let sonar = &long.sonars[0];
-    let m2 = 8.1e-3 * std::f64::consts::PI.sqrt() * WIND * WIND / (4.0 * 0.74f64.sqrt());
+    let m2 = vertical_variance(WIND);
     let echoes = |plan: &PingPlan, list: &[MovingScatterer]| {
         let mut moving = MovingEchoes::default();
         moving.prepare(plan, &sonar.transmit, &sonar.receive, list, 0.0);

@@ -47,14 +47,14 @@ const CACHED_SLAB: f64 = 768.0;
 /// Costs, nanoseconds of one core: per echo; per echo and node; per echo and block; per row of it; per tap of a row. Set between two processors with
 /// AVX-512 by `tools/bench rates` on lines of 8, 16, 20 and 256 elements (`board`, `surveyor240`, `sidescan455`, `seabat`, `wbms`): an AMD EPYC (Zen 4)
 /// needs 0.6 to 0.9 times as much.
-const ECHO_NS: f64 = 190.0;
+const ECHO_NS: f64 = 140.0;
 const NODE_NS: f64 = 15.0;
 const BLOCK_NS: f64 = 20.0;
 const ROW_NS: f64 = 2.0;
 const TAP_NS: f64 = 1.6;
 /// Grids of more bytes leave the second-level cache: rows and taps then cost so much more for every doubling.
 const CACHED_GRID: f64 = 512.0 * 1024.0;
-const UNCACHED: f64 = 0.4;
+const UNCACHED: f64 = 0.25;
 /// What a narrow block saves of a wide one, whose vectors are twice as wide.
 const NARROW_SAVES: f64 = 0.45;
 /// Per row of a column's transform and log2 of the rows; per sample and element of the output.
@@ -68,6 +68,8 @@ const RANGES: i32 = 120;
 /// platform over that of sound.
 const COARSE_SHARE: f64 = 0.02;
 const COARSE_PER_MACH: f64 = 4.0;
+/// Parts of the ranges at which it is looked whether [`coarse`] nodes are enough, for the cost.
+const COARSE_PARTS: u32 = 8;
 /// Speed that echoes typically differ by with their side lobes, m/s, and nodes along a line, for the cost.
 const TYPICAL_M_PER_S: f64 = 6.0;
 const TYPICAL_NODES: f64 = 5.0;
@@ -551,6 +553,25 @@ impl Design {
             self.interpolates(&places, 1.0, counts.gains, array, nearest_m)
         };
         NODES.iter().find(enough).map(|counts| counts.delays)
+    }
+
+    /// Mean number of points along `array` at which delays are solved, for scatterers evenly from the nearest to the farthest range; none if no number is
+    /// enough.
+    pub fn solved_points(
+        &self,
+        array: &ArrayGeometry,
+        (nearest_m, farthest_m): (f64, f64),
+    ) -> Option<f64> {
+        let delays = self.nodes(array, nearest_m)?;
+        let coarse = coarse(&places(delays).collect::<Vec<f64>>());
+        let is_coarse = |part: &u32| {
+            let range_m = nearest_m
+                + (farthest_m - nearest_m) * (f64::from(*part) + 0.5) / f64::from(COARSE_PARTS);
+            self.interpolates(&coarse, self.coarse_share, 3, array, range_m)
+        };
+        let distant = (0..COARSE_PARTS).filter(is_coarse).count() as f64;
+        let (all, few) = (delays as f64, coarse.len() as f64);
+        Some(all + (few - all) * distant / f64::from(COARSE_PARTS))
     }
 
     /// Whether delays at `places` along `array`, of whose error a share is left, and gains at so many of them, are enough at `range_m` and beyond.

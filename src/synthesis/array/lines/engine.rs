@@ -332,7 +332,7 @@ impl GriddedLines {
         let matrix = coefficients(&state.nodes);
         state
             .tracks
-            .compute(plan, array, transmit_leg, &state.along_m, gains);
+            .compute(plan, array, transmit_leg, &state.along_m, gains, coarse_m);
         let batches = NodeTracks::batches(transmit_leg);
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
@@ -356,8 +356,7 @@ impl GriddedLines {
                     .lock()
                     .unwrap_or_else(PoisonError::into_inner);
                 let Solving { work, solved } = &mut *work;
-                let is_coarse = NodeTracks::nearest_of_batch_m(transmit_leg, b) >= coarse_m;
-                batch.counts = tracks.batch(plan, array, transmit_leg, b, is_coarse, work, solved);
+                batch.counts = tracks.batch(plan, array, transmit_leg, b, work, solved);
                 let Batch { chunk, bucket, .. } = batch;
                 let beyond = widest(
                     #[inline(always)]

@@ -27,6 +27,8 @@ pub struct NodeTracks {
     shares: [[f64; MAX_GAIN_NODES]; MAX_NODES],
     /// Interpolation weights of the first, the middle and the last node at every node.
     coarse_shares: [[f64; 3]; MAX_NODES],
+    /// Legs of scatterers that are computed at these three nodes only are as long or longer, metres.
+    coarse_from_m: f64,
     nodes: usize,
     gain_nodes: usize,
 }
@@ -88,7 +90,9 @@ impl NodeTracks {
     }
 
     /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`]. `gain_nodes` is
-    /// three, or five where five or nine points are given.
+    /// three, or five where five or nine points are given. Batches of scatterers from `coarse_from_m` on are computed at the first, the middle and the last
+    /// node, and interpolated at the others: stretches, gains, and the squares of receive legs. On a line at rest these squares are quadratic exactly;
+    /// motion leaves about v/c of the error that delays would have.
     pub fn compute(
         &mut self,
         plan: &PingPlan,
@@ -96,6 +100,7 @@ impl NodeTracks {
         transmit_leg: &TransmitLeg,
         along_m: &[f64],
         gain_nodes: usize,
+        coarse_from_m: f64,
     ) {
         let nodes = along_m.len();
         assert!(
@@ -108,6 +113,7 @@ impl NodeTracks {
         );
         self.nodes = nodes;
         self.gain_nodes = gain_nodes;
+        self.coarse_from_m = coarse_from_m;
         if self.tracks.len() < nodes {
             self.tracks.resize_with(nodes, ElementTrack::default);
         }
@@ -143,23 +149,13 @@ impl NodeTracks {
         nearest_m.fold(receive_m, f64::min)
     }
 
-    /// Shortest leg from or to a scatterer of batch `b`, metres.
-    pub fn nearest_of_batch_m(transmit_leg: &TransmitLeg, b: usize) -> f64 {
-        let receive_m = transmit_leg.nearest_receive_m.unwrap_or(f64::INFINITY);
-        transmit_leg.batch_range_m[b].0.min(receive_m)
-    }
-
-    /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`. With `is_coarse`, they are computed at
-    /// the first, the middle and the last node, and interpolated at the others: stretches, gains, and the squares of receive legs. On a line at rest these
-    /// squares are quadratic exactly; motion leaves about v/c of the error that delays would have.
-    #[allow(clippy::too_many_arguments)]
+    /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`.
     pub fn batch(
         &self,
         plan: &PingPlan,
         array: &ArrayGeometry,
         transmit_leg: &TransmitLeg,
         b: usize,
-        is_coarse: bool,
         work: &mut NodeWorkspace,
         out: &mut NodeBatch,
     ) -> EchoCounts {
@@ -176,6 +172,8 @@ impl NodeTracks {
         let middle = self.nodes / 2;
         // Time from the leading edge to the arrival of mid-pulse, at the gain nodes.
         let mut after_s = [[0.0; CHUNK]; MAX_GAIN_NODES];
+        let receive_m = transmit_leg.nearest_receive_m.unwrap_or(f64::INFINITY);
+        let is_coarse = transmit_leg.batch_range_m[b].0.min(receive_m) >= self.coarse_from_m;
         let step = if is_coarse { middle } else { 1 };
         for (node, track) in self.tracks[..self.nodes].iter().enumerate().step_by(step) {
             let odd = solve(track, c, batch, rays);

@@ -244,14 +244,19 @@ fn squares_of_receive_legs_are_quadratic_along_the_line_but_for_motion() {
         let along_m: Vec<f64> = (0..nodes)
             .map(|k| 0.5 * (2.0 * k as f64 / (nodes - 1) as f64 - 1.0))
             .collect();
-        let mut tracks = NodeTracks::default();
-        tracks.compute(&scene.plan, &scene.rx, &leg, &along_m, gains);
+        let from_m = |coarse_from_m: f64| {
+            let mut tracks = NodeTracks::default();
+            let (plan, rx) = (&scene.plan, &scene.rx);
+            tracks.compute(plan, rx, &leg, &along_m, gains, coarse_from_m);
+            tracks
+        };
+        let tracks = [from_m(f64::INFINITY), from_m(0.0)];
         let mut work = NodeWorkspace::default();
         let [mut fine, mut coarse] = [(); 2].map(|()| Box::<NodeBatch>::default());
         let (mut left, mut plain, mut stretch) = (0.0f64, 0.0f64, 0.0f64);
         for b in 0..NodeTracks::batches(&leg) {
-            for (is_coarse, out) in [(false, &mut fine), (true, &mut coarse)] {
-                tracks.batch(&scene.plan, &scene.rx, &leg, b, is_coarse, &mut work, out);
+            for (tracks, out) in tracks.iter().zip([&mut fine, &mut coarse]) {
+                tracks.batch(&scene.plan, &scene.rx, &leg, b, &mut work, out);
             }
             assert_eq!((fine.len, fine.keep), (coarse.len, coarse.keep));
             for i in 0..fine.len {
