@@ -14,7 +14,9 @@ use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::with_choice;
-use echotank_runtime::check::{self as verdict, CheckError, SonarSelection, select_methods};
+use echotank_runtime::check::{
+    self as verdict, CheckError, SonarSelection, select_for_pictures, select_methods,
+};
 use echotank_runtime::io::files::FileSystem;
 use echotank_runtime::io::nav::ReadNav;
 use echotank_scene::read::survey::Survey;
@@ -68,7 +70,8 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         }
         let is_verbose = args.verbose || args.all;
         if args.json {
-            let (costs, selections) = selected(&spec)?;
+            let (costs, mut selections) = selected(&spec)?;
+            select_for_pictures(&spec, &costs, &mut selections).map_err(Failure::running)?;
             let findings = verdict::findings(&spec, &selections);
             print!("{}", selection::json(&costs, &selections, &findings)?);
             return end(&findings);
@@ -110,6 +113,7 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
                 }
             }
             if is_verbose {
+                select_for_pictures(&spec, &costs, &mut selections).map_err(Failure::running)?;
                 print!("{}", selection::text(&costs, &selections, args.all));
             }
         }

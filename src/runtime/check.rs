@@ -26,7 +26,7 @@ pub struct SonarSelection<'a> {
     pub sonar: &'a SonarSpec,
     /// Plan, scatterers, ranking and cost of its first ping.
     pub first: FirstPing,
-    /// Alternative selection with an image tolerance. Present if no output carries element samples but the tolerance refers to them.
+    /// Alternative selection with an image tolerance, where [`select_for_pictures`] found one.
     pub for_pictures: Option<Ranking>,
     /// Largest values of the first ping; absent if it takes long.
     pub peaks: Option<PeakLevels>,
@@ -58,12 +58,6 @@ pub fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>)
     let costs = costs_of(spec.run.costs.as_deref())?;
     let pool = pool(spec.run.threads)?;
     let found = pool.install(|| first(spec, &costs))?;
-    let for_pictures: Vec<_> = spec
-        .sonars
-        .iter()
-        .zip(&found)
-        .map(|(sonar, first)| pool.install(|| select_for_images(spec, sonar, first, &costs)))
-        .collect();
     let peaks: Vec<_> = spec
         .sonars
         .iter()
@@ -73,24 +67,40 @@ pub fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>)
         })
         .collect();
     let threads = pool.current_num_threads();
-    let found = found.into_iter().zip(for_pictures).zip(peaks);
-    let selections =
-        spec.sonars
-            .iter()
-            .zip(found)
-            .map(|(sonar, ((first, for_pictures), peaks))| SonarSelection {
-                for_pictures,
-                peaks,
-                period_ms: 1e-6
-                    * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
-                sonar,
-                first,
-                threads,
-            });
+    let found = found.into_iter().zip(peaks);
+    let selections = spec
+        .sonars
+        .iter()
+        .zip(found)
+        .map(|(sonar, (first, peaks))| SonarSelection {
+            for_pictures: None,
+            peaks,
+            period_ms: 1e-6
+                * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
+            sonar,
+            first,
+            threads,
+        });
     Ok((costs, selections.collect()))
 }
 
-fn select_for_images(
+/// Adds a selection with an image tolerance to sonars none of whose outputs carries element samples, although their tolerance refers to them.
+///
+/// # Errors
+/// The threads cannot be started.
+pub fn select_for_pictures(
+    rig: &RigSpec,
+    costs: &Costs,
+    selections: &mut [SonarSelection],
+) -> Result<(), rayon::ThreadPoolBuildError> {
+    let pool = pool(rig.run.threads)?;
+    for of in selections {
+        of.for_pictures = pool.install(|| for_pictures(rig, of.sonar, &of.first, costs));
+    }
+    Ok(())
+}
+
+fn for_pictures(
     rig: &RigSpec,
     sonar: &SonarSpec,
     first: &FirstPing,

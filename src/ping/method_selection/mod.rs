@@ -34,7 +34,7 @@ use echotank_core::ping::PingPlan;
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points};
 use echotank_synthesis::array::filter::{Decimator, FilterDesign};
-use echotank_synthesis::array::gridded::CostEstimate;
+use echotank_synthesis::array::gridded::{CostEstimate, shared_out};
 use echotank_synthesis::array::lines;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
@@ -320,14 +320,16 @@ impl Memo {
 
     /// The stored engine of `key`, or a new one from `make`, which is then stored in place of the oldest.
     fn sketch(&self, key: SketchKey, make: impl FnOnce() -> SketchResult) -> SketchResult {
-        let mut entries = self.sketches.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, sketch)) = entries.iter().find(|(known, _)| *known == key) {
+        let entries = || self.sketches.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, sketch)) = entries().iter().find(|(known, _)| *known == key) {
             return sketch.clone();
         }
+        // Without the lock: threads make different ones at the same time.
+        let sketch = make();
+        let mut entries = entries();
         if entries.len() == Self::MAX_ENTRIES {
             drop(entries.remove(0));
         }
-        let sketch = make();
         entries.push((key, sketch.clone()));
         sketch
     }
@@ -471,6 +473,7 @@ impl<'a> CandidateBuilder<'a> {
     ) {
         let spec = self.scene.spec;
         let goal = goal(spec);
+        let mut wanted = Vec::new();
         for doppler in DopplerModel::ALL {
             let of: Vec<&Motion> = motions
                 .iter()
@@ -510,6 +513,18 @@ impl<'a> CandidateBuilder<'a> {
             // A sum that is the operator's and cannot be made for a share is what it is for the whole, and said to be.
             let whole = (!spec.synthesis.auto.synthesis && spec.synthesis.auto.any())
                 .then_some(Some(goal.tolerance));
+            wanted.push((doppler, of, tolerances, whole));
+        }
+        // Made by all threads; the loop below finds them in the memo.
+        let engines: Vec<(DopplerModel, Option<f64>)> = wanted
+            .iter()
+            .filter(|_| synthesis != Synthesis::Gridded2d)
+            .flat_map(|(doppler, _, tolerances, _)| tolerances.iter().map(|t| (*doppler, *t)))
+            .collect();
+        shared_out(engines.len(), |k| {
+            self.engine(synthesis, engines[k].0, engines[k].1).is_ok()
+        });
+        for (doppler, of, tolerances, whole) in wanted {
             let mut is_made = false;
             for engine_tolerance in tolerances.into_iter().chain(whole) {
                 if is_made && engine_tolerance == Some(goal.tolerance) {

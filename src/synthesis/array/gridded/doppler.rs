@@ -54,6 +54,7 @@ use super::kernel::Kernel;
 use super::least_squares::Matrix;
 use super::moments::MAX_TAPS;
 use super::pulse_spectrum::PulseSpectrum;
+use super::shared_out;
 use echotank_core::simd::{Kind, SimdLevel};
 
 /// Minimum number of fitted Dopplers per cell of the grid.
@@ -473,29 +474,30 @@ pub fn templates(
         rows: columns.iter().map(|&column| fit.row(column)).collect(),
         received,
     };
-    let mut values = vec![Complex64::ZERO; columns.len() * bins];
-    let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
-    for first in (0..bins).step_by(BINS) {
-        let end = bins.min(first + BINS);
-        if gain[first..end].iter().all(|&g| g == 0.0) {
-            continue;
+    let blocks = shared_out(bins.div_ceil(BINS), |block| {
+        let of_block = block * BINS..bins.min((block + 1) * BINS);
+        let (frequency_hz, gain) = (&frequency_hz[of_block.clone()], &gain[of_block]);
+        let mut values = vec![Complex64::ZERO; columns.len() * gain.len()];
+        if gain.iter().any(|&g| g != 0.0) {
+            let mut wanted = vec![([0.0; BINS], [0.0; BINS]); count];
+            fitting.block(frequency_hz, gain, &mut wanted, &mut values);
         }
-        fitting.block(
-            (first, bins),
-            &frequency_hz[first..end],
-            &gain[first..end],
-            &mut wanted,
-            &mut values,
-        );
+        values
+    });
+    let mut values = Vec::with_capacity(columns.len() * bins);
+    for column in 0..columns.len() {
+        for block in &blocks {
+            let of_column = block.len() / columns.len();
+            values.extend_from_slice(&block[column * of_column..][..of_column]);
+        }
     }
     values
 }
 
 impl Fitting<'_> {
-    /// Computes the bins from `at.0`, of `at.1` in all. `wanted` is a buffer with one entry per Doppler.
+    /// Computes the bins of a block: `[column][bin]`. `wanted` is a buffer with one entry per Doppler.
     fn block(
         &self,
-        at: (usize, usize),
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
@@ -504,10 +506,10 @@ impl Fitting<'_> {
         match SimdLevel::best().kind() {
             // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors with the features.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => unsafe { self.block_avx512(at, frequency_hz, gain, wanted, out) },
+            Kind::Avx512 => unsafe { self.block_avx512(frequency_hz, gain, wanted, out) },
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => unsafe { self.block_avx2(at, frequency_hz, gain, wanted, out) },
-            _ => self.block_plain(at, frequency_hz, gain, wanted, out),
+            Kind::Avx2 => unsafe { self.block_avx2(frequency_hz, gain, wanted, out) },
+            _ => self.block_plain(frequency_hz, gain, wanted, out),
         }
     }
 
@@ -516,38 +518,35 @@ impl Fitting<'_> {
     #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
     fn block_avx512(
         &self,
-        at: (usize, usize),
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
         out: &mut [Complex64],
     ) {
-        self.block_plain(at, frequency_hz, gain, wanted, out);
+        self.block_plain(frequency_hz, gain, wanted, out);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn block_avx2(
         &self,
-        at: (usize, usize),
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
         out: &mut [Complex64],
     ) {
-        self.block_plain(at, frequency_hz, gain, wanted, out);
+        self.block_plain(frequency_hz, gain, wanted, out);
     }
 
     #[inline(always)]
     fn block_plain(
         &self,
-        at: (usize, usize),
         frequency_hz: &[f64],
         gain: &[f64],
         wanted: &mut [(Lane, Lane)],
         out: &mut [Complex64],
     ) {
-        let (first, bins) = at;
+        let bins = frequency_hz.len();
         for (want, &d) in wanted.iter_mut().zip(&self.dopplers) {
             for (b, (&f_hz, gain)) in frequency_hz.iter().zip(gain).enumerate() {
                 let value = self.received.at(f_hz, d) * gain;
@@ -572,7 +571,7 @@ impl Fitting<'_> {
                 }
                 let heard = (frequency_hz.len() - lane).min(LANES);
                 for (k, sums) in sums[..=last].iter().enumerate() {
-                    let values = (group * COLUMNS + k) * bins + first + lane;
+                    let values = (group * COLUMNS + k) * bins + lane;
                     for (b, value) in out[values..values + heard].iter_mut().enumerate() {
                         *value = Complex64::new(sums[0][b], sums[1][b]);
                     }

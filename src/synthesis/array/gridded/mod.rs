@@ -33,3 +33,13 @@ pub mod transform;
 pub use cost_estimate::CostEstimate;
 pub use doppler::DopplerSpan;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};
+
+use rayon::prelude::*;
+
+/// `count` values in order, by the threads of the current pool. Outside of a pool, as in a thread of low priority, the calling thread computes all.
+pub fn shared_out<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    match rayon::current_thread_index() {
+        Some(_) => (0..count).into_par_iter().map(&of).collect(),
+        None => (0..count).map(of).collect(),
+    }
+}

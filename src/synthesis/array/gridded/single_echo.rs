@@ -16,6 +16,7 @@ use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
 use super::kernel::Kernel;
 use super::one_dimensional::Spec;
 use super::pulse_spectrum::{PulseSpectrum, energies};
+use super::shared_out;
 use super::transform::grid_size;
 
 /// Maximum level difference to the strongest window at which a window counts by its own level, dB.
@@ -189,12 +190,11 @@ impl SingleEcho {
                 worst: worst(rest, &sizes(&heard, self.length, self.noise), self.length),
             }
         };
-        let shares = cells.into_iter().flat_map(|cell| {
-            ACROSS
-                .into_iter()
-                .map(move |across| (cell as f64 + across) / grid.cells as f64)
-        });
-        EchoErrors::of(shares.map(at))
+        let shares: Vec<f64> = cells
+            .into_iter()
+            .flat_map(|cell| ACROSS.map(|across| (cell as f64 + across) / grid.cells as f64))
+            .collect();
+        EchoErrors::of(shared_out(shares.len(), |k| at(shares[k])).into_iter())
     }
 
     /// Errors if the spectrum has the relative error `amiss` at each frequency.
