@@ -400,7 +400,10 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
         _ => None,
     };
     let wind_m_per_s = table.wind_m_per_s.get();
-    let surface = table.surface.given_and_then(|t| surface(t, wind_m_per_s?));
+    let reflects = table.multipath.given;
+    let surface = table
+        .surface
+        .given_and_then(|t| surface(t, wind_m_per_s?, reflects, problems));
     let multipath = table.multipath.given_and_then(multipath);
     let profile = profile?;
     let sound_speed_m_per_s = match &profile {
@@ -419,7 +422,18 @@ fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> O
 }
 
 /// The sea surface. The density of its scatterers follows when the sonars are known.
-fn surface(table: &keys::Surface, wind_m_per_s: f64) -> Option<SurfaceSpec> {
+fn surface(
+    table: &keys::Surface,
+    wind_m_per_s: f64,
+    reflects: bool,
+    problems: &mut Problems,
+) -> Option<SurfaceSpec> {
+    if table.heights.get() == Some(true) {
+        problems.only_with(&[&table.heights], Some(reflects), "[medium.multipath]");
+    }
+    let moves = table.waves.get()? || table.heights.get()?;
+    let condition = "waves = true or heights = true";
+    problems.only_with(&[&table.wind_from_deg], Some(moves), condition);
     let scattering = match table.scattering.get()? {
         true => Some(SurfaceScatteringSpec {
             density: Density::PerM2(1.0),
@@ -433,6 +447,8 @@ fn surface(table: &keys::Surface, wind_m_per_s: f64) -> Option<SurfaceSpec> {
         roughness_m: table.roughness_m.if_given()?,
         slope_rad: table.slope_deg.if_given()?,
         down_m: table.down_m.get()?,
+        wind_from_rad: table.wind_from_deg.if_given()?,
+        heights: table.heights.get()?,
         scattering,
     })
 }

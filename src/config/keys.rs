@@ -236,6 +236,13 @@ table! {
     /// scattering = true.
     waves: Bool, Default("false"), only with scattering = true;
 
+    /// Where the wind comes from, clockwise from north: the waves spread about its direction by cos^2 and drift with it. Default: waves from all directions
+    /// alike.
+    wind_from_deg: Degrees(ANGLE_DEG), Optional("230.0");
+
+    /// Waves longer than eight times the depth of the sonar raise and lower the reflections of the surface. Only with \[medium.multipath].
+    heights: Bool, Default("false");
+
     /// Time in which the scattering of the surface changes. Only with scattering = true.
     correlation_time_ms: Ms(above(0.0, 1.0e6)), Default("100.0"), only with scattering = true;
 }

@@ -96,6 +96,10 @@ pub struct SurfaceSpec {
     pub slope_rad: Option<f64>,
     /// Depth of the mean surface below the world's vertical origin, metres.
     pub down_m: f64,
+    /// Where the wind comes from, radians clockwise from north; `None`: waves from all directions alike.
+    pub wind_from_rad: Option<f64>,
+    /// Whether its height moves reflections.
+    pub heights: bool,
     /// How it scatters, if it does.
     pub scattering: Option<SurfaceScatteringSpec>,
 }

@@ -53,8 +53,19 @@ fn boundaries(medium: &MediumSpec) -> Option<String> {
         true => "the surface scatters and moves".to_owned(),
         false => "the surface scatters".to_owned(),
     });
-    let wind = surface.map(|surface| format!("wind {} m/s", surface.wind_m_per_s));
-    let words: Vec<_> = [wind, scattering, echoes].into_iter().flatten().collect();
+    let wind = surface.map(|surface| match surface.wind_from_rad {
+        None => format!("wind {} m/s", surface.wind_m_per_s),
+        Some(from_rad) => {
+            let from_deg = from_rad.to_degrees();
+            format!("wind {} m/s from {from_deg:.0} deg", surface.wind_m_per_s)
+        }
+    });
+    let heights = surface.is_some_and(|surface| surface.heights);
+    let heights = heights.then(|| "waves lift the surface".to_owned());
+    let words: Vec<_> = [wind, scattering, echoes, heights]
+        .into_iter()
+        .flatten()
+        .collect();
     (!words.is_empty()).then(|| words.join(", "))
 }
 

@@ -114,13 +114,18 @@ impl TransmitPoints {
     }
 }
 
-/// A point scatterer in uniform motion during a ping.
+/// A point scatterer in motion during a ping: at `position_m + velocity_m_per_s t + acceleration_m_per_s2 (t - hit_s)^2 / 2`, t seconds after the start of
+/// the pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MovingScatterer {
     /// World, metres: the place where the sound finds it, moved back at its velocity to the start of the pulse.
     pub position_m: DVec3,
-    /// World, metres per second.
+    /// World, metres per second, when the sound finds it.
     pub velocity_m_per_s: DVec3,
+    /// World, metres per second squared.
+    pub acceleration_m_per_s2: DVec3,
+    /// When the sound finds it, seconds after the start of the pulse.
+    pub hit_s: f64,
     /// As in [`Scatterers`].
     pub normal: [f32; 3],
     /// As in [`Scatterers`].
@@ -133,13 +138,15 @@ pub struct MovingScatterer {
     pub transmit: Option<MovingPoint>,
 }
 
-/// A point in uniform motion, as that of a [`MovingScatterer`].
+/// A point in motion, as that of a [`MovingScatterer`], with the same `hit_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MovingPoint {
     /// World, metres.
     pub position_m: DVec3,
     /// World, metres per second.
     pub velocity_m_per_s: DVec3,
+    /// World, metres per second squared.
+    pub acceleration_m_per_s2: DVec3,
 }
 
 impl MovingScatterer {

@@ -110,10 +110,7 @@ pub fn sum_error_model(
     plan: &PingPlan,
     conditions: &Conditions,
 ) -> ErrorModel {
-    // Errors of single echoes are kept, so the sound speed may not change them from ping to ping. A higher one gives a narrower filter, which fits.
-    let c = (conditions.sound_speed_m_per_s / SOUND_SPEED_STEP_M_PER_S).ceil()
-        * SOUND_SPEED_STEP_M_PER_S;
-    let filter = filter_design(spec, synthesis, c);
+    let filter = filter_design(spec, synthesis, sound_speed_of_design(conditions));
     let mut error_model = synthesis_error_model(synthesis, conditions, plan, filter);
     if synthesis == Synthesis::Spectral
         && let Some(step_hz) = spec.synthesis.frequency_step_hz
@@ -129,6 +126,11 @@ pub fn sum_error_model(
         }
     }
     error_model
+}
+
+/// Errors of single echoes are kept, so the sound speed may not change them from ping to ping. A higher one gives a narrower filter, which fits.
+pub(crate) fn sound_speed_of_design(conditions: &Conditions) -> f64 {
+    (conditions.sound_speed_m_per_s / SOUND_SPEED_STEP_M_PER_S).ceil() * SOUND_SPEED_STEP_M_PER_S
 }
 
 /// Step of the sound speeds for which the filter of an error model is designed.

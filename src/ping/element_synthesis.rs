@@ -28,7 +28,7 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::engines::{EngineRefusal, Engines, engine_filter};
+use crate::engines::{EngineRefusal, Engines, MIN_DENSITY, engine_filter};
 use crate::line_engines::LineEngines;
 use crate::plan;
 
@@ -603,6 +603,22 @@ pub(crate) fn receiver_filter(
     }
     let design = filter_design(spec, spec.model.synthesis, medium.sound_speed_m_per_s);
     design.map(|design| design.decimator()).transpose()
+}
+
+/// What the receiver filter of a method is designed for, none where no filter is configured: as [`receiver_filter`] makes it.
+pub(crate) fn receiver_filter_design(
+    spec: &SonarSpec,
+    synthesis: Synthesis,
+    sound_speed_m_per_s: f64,
+) -> Option<FilterDesign> {
+    let design = filter_design(spec, synthesis, sound_speed_m_per_s)?;
+    Some(match synthesis.keeps_tolerance() {
+        true => FilterDesign {
+            oversample: design.oversample.max(MIN_DENSITY),
+            ..design
+        },
+        false => design,
+    })
 }
 
 /// What the receiver filter is designed for ahead of a method without a tolerance, none where no filter is configured.

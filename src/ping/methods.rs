@@ -23,16 +23,19 @@ pub enum Family {
     Culling,
     /// Whether lines are made from elements or from parts of them.
     Output,
+    /// Moving scatterers, which have a pass of their own.
+    Moving,
 }
 
 impl Family {
     /// All families, in the order of the parts of a candidate.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Path,
         Self::Doppler,
         Self::Sum,
         Self::Culling,
         Self::Output,
+        Self::Moving,
     ];
     /// As `echotank check` names it.
     pub fn name(self) -> &'static str {
@@ -42,6 +45,7 @@ impl Family {
             Self::Sum => "synthesis",
             Self::Culling => "culling",
             Self::Output => "output",
+            Self::Moving => "moving",
         }
     }
 }
@@ -111,7 +115,7 @@ pub struct Candidate {
     /// The methods.
     pub choice: Choice,
     /// In the order of [`Family::ALL`].
-    pub parts: [Part; 5],
+    pub parts: [Part; 6],
     /// Displacement in images.
     pub displaced: Displaced,
 }
@@ -143,8 +147,11 @@ impl Candidate {
     }
     /// `k-segment 10 ms, stretch, gridded-1d 5e-4, culled at -40 dB`.
     pub fn text(&self) -> String {
-        // Elements go without saying.
-        let said = |part: &&Part| part.family != Family::Output || self.choice.part_elements > 1;
+        // Elements go without saying, and of moving scatterers there is no choice.
+        let said = |part: &&Part| match part.family {
+            Family::Output => self.choice.part_elements > 1,
+            family => family != Family::Moving,
+        };
         let said = self.parts.iter().filter(said);
         let choices: Vec<&str> = said.map(|part| part.choice.as_str()).collect();
         choices.join(", ")
@@ -170,7 +177,7 @@ impl Goal {
         let Some(cells) = self.image_cells else {
             return candidate.error() / self.tolerance;
         };
-        let samples = [Family::Sum, Family::Culling, Family::Output];
+        let samples = [Family::Sum, Family::Culling, Family::Output, Family::Moving];
         let samples: f64 = samples.iter().map(|f| candidate.part(*f).error).sum();
         let Displaced {
             along_cells,

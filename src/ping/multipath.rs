@@ -25,6 +25,10 @@
 //! Kirchhoff's approximation gives for the specular direction, exp(-4 g^2 (1 - rho(t))) in time, with g = k sigma sin psi and rho the correlation of the height
 //! (Beckmann and Spizzichino 1963). Where the pulse does not resolve the Doppler, it is left out.
 //!
+//! With heights, the waves longer than [`LONG`] depths of the sonar lift the surface, as a level plane at the place and the time of each reflection, and the
+//! images with it. What is left of the roughness makes the coefficients. That the surface is a plane neglects the slope of these waves: for an amplitude a
+//! and a wavelength L, the path is off by 2 (2 pi a / L)^2 d at most, with d the depth of the sonar, or 0.6 a / d of what the height makes.
+//!
 //! In water whose sound speed changes with depth, the images are the virtual points of reflected rays (`reflected_rays`), with the grazing angles, levels and
 //! times of the rays.
 //!
@@ -42,7 +46,7 @@ use std::sync::Arc;
 
 use crate::image_thinning::{Echo, ImageThinning, facing, is_single, law_factor};
 use crate::rig::Rig;
-use crate::sea_surface::{sea_surface, wind_sea};
+use crate::sea_surface::{heights, sea_surface, wind_sea};
 use echotank_config::spec::{Density, RigSpec};
 use echotank_core::ping::{PingPlan, Reflections, SceneCounts};
 use echotank_core::scene::{
@@ -74,6 +78,8 @@ const PATCH: f64 = 0.05;
 const LEAST_PATCH_M: f64 = 0.5;
 /// Least rms Doppler that counts, over the bandwidth of the pulse. The peak of a tone behind its matched filter is 0.1 dB lower then.
 const LEAST_SPREAD: f64 = 1.0 / 12.0;
+/// Waves longer than so many depths of the sonar lift reflections.
+const LONG: f64 = 8.0;
 /// Deviations of the direction for which scatterers are gathered.
 const DEVIATIONS: f64 = 2.0;
 
@@ -90,6 +96,9 @@ pub(crate) struct Multipath {
     bottom: Option<FluidBottom>,
     /// Where the surface moves.
     sea: Option<WindSea>,
+    /// Where its height moves the images, and whether its roughness follows from the wind.
+    heights: Option<WindSea>,
+    by_wind: bool,
     /// In water that bends sound.
     rays: Option<ReflectedRays>,
     /// Where the seabed is thinned too.
@@ -126,6 +135,8 @@ struct Leg {
     /// Distances from the sonar, sines of the grazing angle, and rms slopes of the reflections, the first from the sonar on.
     bends: [Bend; BENDS],
     count: usize,
+    /// Shift of the image for each metre that the surface rises.
+    per_height: DVec3,
 }
 
 /// The straight path by bottom and surface, unfolded at the planes that reflect.
@@ -148,8 +159,20 @@ struct MirrorPath {
 struct Image {
     at_m: DVec3,
     normal: [f32; 3],
-    /// Metres per second.
+    /// Metres per second, and per second squared.
     velocity: DVec3,
+    acceleration: DVec3,
+    rise: Rise,
+}
+
+/// How the height of the surface moves an image.
+#[derive(Clone, Copy, Debug)]
+struct Rise {
+    /// Shift for each metre; zero without a reflection at the surface.
+    per_height: DVec3,
+    /// Place of that reflection in the unfolded path, and its distance from the sonar.
+    at_m: DVec3,
+    along_m: f64,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -178,6 +201,8 @@ impl Multipath {
                 slope2: slope * slope,
             }),
             sea: wind_sea(spec),
+            heights: heights(spec),
+            by_wind: (spec.medium.surface.as_ref()).is_some_and(|s| s.roughness_m.is_none()),
             rays: spec.medium.profile.clone().map(ReflectedRays::new),
             thinning: seabed
                 .is_some_and(|seabed| matches!(seabed.density, Density::Auto { .. }))
@@ -296,8 +321,17 @@ impl Multipath {
             (Some(rays), Some(direct)) if plan.refraction.is_some() => Some((rays, direct)),
             _ => None,
         };
+        let utc_s = plan.transmit_utc.0 as f64 * 1e-9;
+        let mut surface = self.surface;
+        let longer_m = LONG * (array_m.z - self.surface_down_m).max(0.0);
+        if let (Some(sea), true) = (&self.heights, self.by_wind) {
+            let rest_m2 = surface.rms_m * surface.rms_m - sea.height_variance_m2(longer_m);
+            surface.rms_m = rest_m2.max(0.0).sqrt();
+        }
         let ping = PingGeometry {
             of: self,
+            surface,
+            heights: self.heights.as_ref().map(|sea| (sea, utc_s, longer_m)),
             plan,
             array_m,
             refracted,
@@ -308,7 +342,7 @@ impl Multipath {
                 .sea
                 .as_ref()
                 .filter(|_| self.is_spread(plan))
-                .map(|sea| (sea, plan.transmit_utc.0 as f64 * 1e-9)),
+                .map(|sea| (sea, utc_s)),
             key: [
                 self.seed as u32,
                 (self.seed >> 32) as u32 ^ plan.ping_number,
@@ -361,6 +395,10 @@ impl Multipath {
 /// Everything that the echoes of a ping share.
 struct PingGeometry<'a> {
     of: &'a Multipath,
+    /// With the roughness of the waves that do not lift reflections.
+    surface: SeaSurface,
+    /// Waves that lift reflections, the time of the pulse, seconds, and their least length, metres.
+    heights: Option<(&'a WindSea, f64, f64)>,
     plan: &'a PingPlan,
     array_m: DVec3,
     /// In water that bends sound: reflected rays, and direct ones.
@@ -488,6 +526,7 @@ impl PingGeometry<'_> {
                 if !received {
                     continue;
                 }
+                let (out, back) = &self.risen((*out, *back));
                 if out.velocity != DVec3::ZERO || back.velocity != DVec3::ZERO {
                     let curve = given.curve.as_deref();
                     let echo = (strength * factor, given.law[i]);
@@ -503,7 +542,7 @@ impl PingGeometry<'_> {
         };
         let coherent = both.coherent.norm_sqr();
         if coherent > LEAST_SHARE * both.power {
-            let images = (a.image(), b.image());
+            let images = (a.image(self.array_m), b.image(self.array_m));
             add(images, coherent.sqrt(), both.coherent, 1.0);
         }
         let incoherent = both.incoherent();
@@ -536,14 +575,17 @@ impl PingGeometry<'_> {
         let displaced = |leg: &Leg, part: u32, chance: u32| {
             let share = leg.reflection.incoherent() / leg.reflection.power.max(f64::MIN_POSITIVE);
             if leg.count == 0 || fraction(chance) >= share {
-                return leg.image();
+                return leg.image(self.array_m);
             }
             let words = draw(part);
+            let (velocity, acceleration) = self.image_motion(leg);
             let draws = [0, 2].map(|k| gaussian(words[k], words[k + 1]));
             Image {
                 at_m: leg.bent(self.array_m, draws),
                 normal: leg.normal,
-                velocity: self.image_velocity(leg),
+                velocity,
+                acceleration,
+                rise: leg.rise(self.array_m),
             }
         };
         // Two paths by the same boundary differ.
@@ -555,10 +597,11 @@ impl PingGeometry<'_> {
         add(images, rms, factor, chance);
     }
 
-    /// Velocity of the image of an incoherent leg: a facet of the surface that rises by dz lengthens the path by 2 dz times the sine of the grazing angle.
-    fn image_velocity(&self, leg: &Leg) -> DVec3 {
+    /// Velocity and acceleration of the image of an incoherent leg: a facet of the surface that rises by dz lengthens the path by 2 dz times the sine of
+    /// the grazing angle.
+    fn image_motion(&self, leg: &Leg) -> (DVec3, DVec3) {
         let (Some((sea, utc_s)), Some(last)) = (self.sea, leg.count.checked_sub(1)) else {
-            return DVec3::ZERO;
+            return (DVec3::ZERO, DVec3::ZERO);
         };
         let bend = &leg.bends[last];
         let ray_m = leg.image_m - self.array_m;
@@ -566,8 +609,39 @@ impl PingGeometry<'_> {
         let ray = ray_m / length_m;
         let at_m = self.array_m + ray * bend.along_m;
         let hit_s = length_m / self.plan.sound_speed_m_per_s;
-        let facet = sea.velocity_m_per_s(at_m.x, at_m.y, utc_s + hit_s);
-        ray * (-2.0 * bend.sine * facet.z)
+        let facet = sea.motion(at_m.x, at_m.y, utc_s + hit_s);
+        let lengthens = ray * (-2.0 * bend.sine);
+        (
+            lengthens * facet.velocity_m_per_s.z,
+            lengthens * facet.acceleration_m_per_s2.z,
+        )
+    }
+
+    /// The images of both legs of an echo, lifted by the surface at the time of each reflection.
+    fn risen(&self, (out, back): (Image, Image)) -> (Image, Image) {
+        let Some((sea, utc_s, longer_m)) = self.heights else {
+            return (out, back);
+        };
+        let c = self.plan.sound_speed_m_per_s;
+        let [out_m, back_m] = [&out, &back].map(|image| image.at_m.distance(self.array_m));
+        let lifted = |mut image: Image, along_m: f64| {
+            let Rise {
+                per_height, at_m, ..
+            } = image.rise;
+            if per_height != DVec3::ZERO {
+                let time_s = utc_s + along_m / c;
+                let (height_m, rises) = sea.height_m(at_m.x, at_m.y, time_s, longer_m);
+                image.at_m += per_height * height_m;
+                if self.sea.is_some() && image.velocity == DVec3::ZERO {
+                    image.velocity = per_height * rises;
+                }
+            }
+            image
+        };
+        (
+            lifted(out, out.rise.along_m),
+            lifted(back, out_m + back_m - back.rise.along_m),
+        )
     }
 
     /// An echo between two images, of which at least one moves. They are at their places when the sound finds the scatterer.
@@ -586,6 +660,8 @@ impl PingGeometry<'_> {
         MovingScatterer {
             position_m: back.at_m - back.velocity * hit_s,
             velocity_m_per_s: back.velocity,
+            acceleration_m_per_s2: back.acceleration,
+            hit_s,
             normal: back.normal,
             strength: strength * law_factor(law, curve, incidence),
             law: ScatterLaw::Point,
@@ -593,6 +669,7 @@ impl PingGeometry<'_> {
             transmit: Some(MovingPoint {
                 position_m: out.at_m - out.velocity * hit_s,
                 velocity_m_per_s: out.velocity,
+                acceleration_m_per_s2: out.acceleration,
             }),
         }
     }
@@ -685,6 +762,7 @@ impl PingGeometry<'_> {
             let slope2 = self.of.surface.slope2;
             return Some(Leg {
                 image_m: seen.position_m,
+                per_height: self.lengthened(seen.position_m, &seen.bounces[0]),
                 normal: seen.normal(normal),
                 reflection: self.at_surface(&seen.bounces[0]),
                 gain: seen.gain,
@@ -699,6 +777,8 @@ impl PingGeometry<'_> {
         let sine = (sonar_m + scatterer_m) / length_m;
         Some(Leg {
             image_m,
+            // Towards the air.
+            per_height: DVec3::new(0.0, 0.0, -2.0),
             normal,
             reflection: self.at_surface(&self.straight(sine)),
             gain: 1.0,
@@ -784,6 +864,7 @@ impl PingGeometry<'_> {
             let at_bottom = bottom.reflection(self.wavenumber_per_m(low), low.sine);
             return Some(Leg {
                 image_m: seen.position_m,
+                per_height: self.lengthened(seen.position_m, high),
                 normal: seen.normal(normal),
                 reflection: at_bottom.and(self.at_surface(high)),
                 gain: seen.gain,
@@ -795,8 +876,10 @@ impl PingGeometry<'_> {
             });
         }
         let at_bottom = bottom.reflection(self.wavenumber_per_m, bottom_sine);
+        let rise = DVec3::new(0.0, 0.0, -2.0);
         Some(Leg {
             image_m,
+            per_height: rise - 2.0 * rise.dot(plane.up) * plane.up,
             normal,
             reflection: at_bottom.and(self.at_surface(&self.straight(surface_sine))),
             gain: 1.0,
@@ -816,6 +899,17 @@ impl PingGeometry<'_> {
         })
     }
 
+    /// Shift of a refracted image for each metre that the surface rises: upright, by the time that the path takes longer, and along a ray that is almost
+    /// level.
+    fn lengthened(&self, image_m: DVec3, bounce: &Bounce) -> DVec3 {
+        let ray = (image_m - self.array_m).normalize_or_zero();
+        let longer = 2.0 * bounce.sine * self.plan.sound_speed_m_per_s / bounce.speed_m_per_s;
+        match ray.z.abs() > 0.1 * bounce.sine {
+            true => DVec3::Z * (longer / ray.z),
+            false => ray * longer,
+        }
+    }
+
     /// A reflection in water of one sound speed.
     fn straight(&self, sine: f64) -> Bounce {
         Bounce {
@@ -832,19 +926,33 @@ impl PingGeometry<'_> {
     fn at_surface(&self, bounce: &Bounce) -> Reflection {
         let carrier_hz = self.plan.pulse.center_frequency_hz;
         let wavenumber_per_m = self.wavenumber_per_m(bounce);
-        self.of
-            .surface
+        self.surface
             .reflection(carrier_hz, wavenumber_per_m, bounce.sine)
     }
 }
 
 impl Leg {
     /// The image at rest.
-    fn image(&self) -> Image {
+    fn image(&self, array_m: DVec3) -> Image {
         Image {
             at_m: self.image_m,
             normal: self.normal,
             velocity: DVec3::ZERO,
+            acceleration: DVec3::ZERO,
+            rise: self.rise(array_m),
+        }
+    }
+
+    fn rise(&self, array_m: DVec3) -> Rise {
+        // The surface reflects last from the sonar on.
+        let along_m = match self.count {
+            0 => 0.0,
+            count => self.bends[count - 1].along_m,
+        };
+        Rise {
+            per_height: self.per_height,
+            at_m: array_m + (self.image_m - array_m).normalize_or_zero() * along_m,
+            along_m,
         }
     }
 
@@ -856,6 +964,7 @@ impl Leg {
             gain: 1.0,
             bends: [Bend::default(); BENDS],
             count: 0,
+            per_height: DVec3::ZERO,
         }
     }
 

@@ -100,6 +100,7 @@ fn bend_moving(
         hit_s = seen.position_m.distance(array_m) / c;
     }
     let at_m = scatterer.position_m + velocity * hit_s;
+    let acceleration = scatterer.acceleration_m_per_s2;
     let step_s = ALONG_M / velocity.length().max(1e-3);
     let [before, seen, after] =
         [-step_s, 0.0, step_s].map(|step_s| points.seen(at_m + velocity * step_s));
@@ -107,6 +108,13 @@ fn bend_moving(
         return false;
     };
     scatterer.velocity_m_per_s = (after.position_m - before.position_m) / (2.0 * step_s);
+    // The way bends with the water; an acceleration of its own appears turned with the ray.
+    let bends_m = (after.position_m - seen.position_m) + (before.position_m - seen.position_m);
+    let turned = seen.normal(acceleration.as_vec3().to_array());
+    let there = points.profile().at_m_per_s(at_m.z);
+    scatterer.acceleration_m_per_s2 =
+        bends_m / (step_s * step_s) + DVec3::from_array(turned.map(f64::from)) * (c / there);
+    scatterer.hit_s = hit_s;
     scatterer.position_m = seen.position_m - scatterer.velocity_m_per_s * hit_s;
     scatterer.normal = seen.normal(scatterer.normal);
     scatterer.strength *= seen.gain;
@@ -130,7 +138,10 @@ fn bend_surface(
     let turned = seen.normal(velocity.as_vec3().to_array());
     let there = points.profile().at_m_per_s(at_m.z);
     scatterer.velocity_m_per_s = DVec3::from_array(turned.map(f64::from)) * (c / there);
+    let turned = seen.normal(scatterer.acceleration_m_per_s2.as_vec3().to_array());
+    scatterer.acceleration_m_per_s2 = DVec3::from_array(turned.map(f64::from)) * (c / there);
     let hit_s = seen.position_m.distance(array_m) / c;
+    scatterer.hit_s = hit_s;
     scatterer.position_m = seen.position_m - scatterer.velocity_m_per_s * hit_s;
     scatterer.normal = seen.normal(scatterer.normal);
     scatterer.strength *= seen.gain;

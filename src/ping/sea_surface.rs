@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::image_thinning::{Echo, ImageThinning};
 use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, RigSpec, SceneSpec, SeabedShape,
-    SeabedSpec,
+    SeabedSpec, SurfaceSpec,
 };
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{Footprint, LawCurve, MovingScatterer, ScatterLaw, Scatterers};
@@ -21,7 +21,7 @@ use echotank_core::time::UtcNs;
 use echotank_scene::draws::{circular_gaussian, fraction, philox};
 use echotank_scene::{Files, Scene, SceneError};
 use echotank_synthesis::echo::boundaries::SeaSurface;
-use echotank_synthesis::echo::wind_sea::WindSea;
+use echotank_synthesis::echo::wind_sea::{SurfaceMotion, WindSea};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -53,11 +53,19 @@ pub(crate) fn sea_surface(spec: &RigSpec) -> (SeaSurface, f64) {
 pub(crate) fn wind_sea(spec: &RigSpec) -> Option<WindSea> {
     let given = spec.medium.surface.as_ref()?;
     let moves = given.scattering.as_ref().is_some_and(|s| s.waves);
-    moves.then(|| {
-        let key = [spec.scene.seed as u32, (spec.scene.seed >> 32) as u32];
-        let draw = |i: u32| fraction(philox([i, 0, WAVES, SURFACE], key)[0]);
-        WindSea::new(given.wind_m_per_s, draw)
-    })
+    moves.then(|| sea(spec, given))
+}
+
+/// The same waves, if their height moves reflections.
+pub(crate) fn heights(spec: &RigSpec) -> Option<WindSea> {
+    let given = spec.medium.surface.as_ref()?;
+    given.heights.then(|| sea(spec, given))
+}
+
+fn sea(spec: &RigSpec, given: &SurfaceSpec) -> WindSea {
+    let key = [spec.scene.seed as u32, (spec.scene.seed >> 32) as u32];
+    let draw = |i: u32| fraction(philox([i, 0, WAVES, SURFACE], key)[0]);
+    WindSea::new(given.wind_m_per_s, given.wind_from_rad, draw)
 }
 
 /// The scatterers of the surface around a sonar.
@@ -222,13 +230,15 @@ fn set_in_motion(
     let one = |i: usize| {
         let at_m = made.position_m(i);
         let hit_s = at_m.distance(array_m) / plan.sound_speed_m_per_s;
-        let velocity_m_per_s = match made.strength[i] == Complex64::ZERO {
-            true => DVec3::ZERO,
-            false => sea.velocity_m_per_s(at_m.x, at_m.y, utc_s + hit_s),
+        let motion = match made.strength[i] == Complex64::ZERO {
+            true => SurfaceMotion::default(),
+            false => sea.motion(at_m.x, at_m.y, utc_s + hit_s),
         };
         MovingScatterer {
-            position_m: at_m - velocity_m_per_s * hit_s,
-            velocity_m_per_s,
+            position_m: at_m - motion.velocity_m_per_s * hit_s,
+            velocity_m_per_s: motion.velocity_m_per_s,
+            acceleration_m_per_s2: motion.acceleration_m_per_s2,
+            hit_s,
             normal: made.normal[i],
             strength: made.strength[i],
             law: made.law[i],

@@ -106,6 +106,8 @@ fn bends(spec: &mut RigSpec) {
 
 fn reflects(spec: &mut RigSpec) {
     spec.medium.surface = Some(SurfaceSpec {
+        wind_from_rad: Some(0.5),
+        heights: true,
         wind_m_per_s: 5.0,
         roughness_m: None,
         slope_rad: None,

@@ -42,7 +42,9 @@ fn write_sonar(out: &mut String, selection: &SonarSelection, all: bool) -> std::
         elements(selection.sonar),
     )?;
     let chosen = ranking.chosen();
-    for family in Family::ALL {
+    let is_moving = !selection.first.scatterers.moving.is_empty();
+    let families = Family::ALL.into_iter();
+    for family in families.filter(|family| is_moving || *family != Family::Moving) {
         let part = chosen.part(family);
         writeln!(
             out,
@@ -143,6 +145,7 @@ fn is_auto(sonar: &SonarSpec, family: Family) -> bool {
         Family::Sum => auto.synthesis,
         Family::Culling => sonar.synthesis.culls_by_window,
         Family::Output => sonar.synthesis.output != SynthesisOutput::Elements,
+        Family::Moving => false,
     }
 }
 

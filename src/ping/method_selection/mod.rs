@@ -9,6 +9,7 @@ mod culled;
 pub mod echo_statistics;
 pub(crate) mod fades;
 pub mod live;
+mod moving;
 pub mod parts;
 mod promise;
 mod walked;
@@ -22,6 +23,7 @@ use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::method_selection::costs::Costs;
 use crate::method_selection::culled::culling;
 use crate::method_selection::echo_statistics::{Shares, quantities};
+use crate::method_selection::moving::{IN_SELECTION, moving_error, moving_work, sum_error};
 use crate::method_selection::parts::{Parting, partings};
 use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
 use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
@@ -154,6 +156,7 @@ impl MotionScale {
 pub fn sample(all: &Scatterers) -> Scatterers {
     let mut some = Scatterers {
         curve: all.curve.clone(),
+        moving: all.moving.clone(),
         ..Scatterers::default()
     };
     for (i, stands_for) in echo_statistics::sampled(all, echo_statistics::SAMPLE_SIZE) {
@@ -285,6 +288,8 @@ struct CandidateBuilder<'a> {
     culling: Culling,
     /// Of virtual points in water that bends sound, which every path model uses.
     refraction_error: f64,
+    /// Of moving scatterers by their three instants.
+    moving_error: f64,
     walked: WalkLengths,
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
@@ -351,6 +356,7 @@ impl<'a> CandidateBuilder<'a> {
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
             refraction_error: refraction_error(spec, scene.plan, scene.scatterers),
+            moving_error: moving_error(spec, scene.plan, scene.scatterers, IN_SELECTION),
             culling: culling(scene),
         }
     }
@@ -982,6 +988,7 @@ impl<'a> CandidateBuilder<'a> {
                     &cull_why,
                 ),
                 self.output(motion, pairs),
+                self.moving(synthesis),
             ],
             displaced: self.displaced(motion),
         }
@@ -1020,6 +1027,38 @@ impl<'a> CandidateBuilder<'a> {
             work,
             why,
         }
+    }
+
+    /// Moving scatterers. Nothing where none moves.
+    fn moving(&self, synthesis: Synthesis) -> Part {
+        let Scene {
+            spec,
+            plan,
+            scatterers,
+            ..
+        } = *self.scene;
+        let count = scatterers.moving.len();
+        let mut part = Part {
+            family: Family::Moving,
+            choice: "none".to_owned(),
+            error: 0.0,
+            cost_ms: 0.0,
+            work: Work::NONE,
+            why: String::new(),
+        };
+        if count > 0 {
+            let of = (count, self.parting.map_or(1, |parting| parting.of));
+            let sum = sum_error(synthesis, spec, plan, &self.conditions);
+            part.choice = format!("{count} scatterers");
+            part.error = self.moving_error.hypot(sum);
+            part.work = moving_work(synthesis, spec, plan, &self.conditions, of);
+            part.cost_ms = self.scene.costs.ms(&part.work);
+            part.why = format!(
+                "{:.1e} from three instants of the pulse, {sum:.1e} from their sum",
+                self.moving_error
+            );
+        }
+        part
     }
 
     /// What the models do to a picture: the motion left out displaces along the track by v r/c of the cell at r and in range by what an echo's

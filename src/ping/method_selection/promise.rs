@@ -6,6 +6,7 @@
 use crate::conditions::{conditions, segment_step_s};
 use crate::method_selection::SEGMENTS_S;
 use crate::method_selection::echo_statistics::{EchoPeaks, echo_peaks};
+use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
 use crate::methods::{Candidate, Family};
 use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
@@ -30,8 +31,7 @@ pub(super) struct Promise {
     path: PathModel,
     segment_s: f64,
     doppler: DopplerModel,
-    /// Of the reference, which uses neither.
-    is_exact: bool,
+    synthesis: Synthesis,
     /// Of what does not move: sum and output; and of culling, where every ping has floors of its own.
     others: f64,
     culling: f64,
@@ -48,7 +48,7 @@ impl Promise {
             path: model.path,
             segment_s: model.segment_s,
             doppler: model.doppler,
-            is_exact: model.synthesis == Synthesis::Reference,
+            synthesis: model.synthesis,
             others: errors.into_iter().fold(0.0, f64::hypot),
             culling: candidate.part(Family::Culling).error,
         }
@@ -64,14 +64,23 @@ impl Promise {
         tolerance: f64,
     ) -> (PathModel, f64, f64) {
         let bent = refraction_error(spec, plan, scatterers);
-        if self.is_exact {
-            return (self.path, self.segment_s, self.others.hypot(bent));
+        let moving = match scatterers.moving.is_empty() {
+            true => 0.0,
+            false => {
+                let by_sum = sum_error(self.synthesis, spec, plan, &self.conditions);
+                by_sum.hypot(moving_error(spec, plan, scatterers, IN_PING))
+            }
+        };
+        let others = self.others.hypot(moving);
+        // The reference uses neither path nor Doppler model.
+        if self.synthesis == Synthesis::Reference {
+            return (self.path, self.segment_s, others.hypot(bent));
         }
         let culling = match plan.range_floors.levels.is_empty() {
             true => self.culling,
             false => plan.range_floors.left_out,
         };
-        let others = self.others.hypot(culling);
+        let others = others.hypot(culling);
         let conditions = match scatterers.len() <= ALL {
             true => conditions(spec, plan, scatterers),
             false => echo_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),

@@ -40,6 +40,8 @@ pub(crate) const MAX_TARGETS: usize = 10_000;
 pub(crate) const MAX_TARGET_SCATTERERS: usize = 1 << 22;
 /// Least number of scatterers of a solid, so that its strength varies little with the direction.
 const MIN_SCATTERERS: usize = 64;
+/// Time over which the acceleration of a target is measured, to both sides, seconds.
+const TRACK_STEP_S: f64 = 2e-3;
 
 const MAX_NAME_CHARACTERS: usize = 64;
 /// Accepted target strengths, dB. A krill has -90 dB, a submarine +30 dB.
@@ -307,7 +309,13 @@ impl Targets {
                 hit_s = place(hit_s).0.distance(eye_m) / c;
             }
             let (at_m, velocity) = place(hit_s);
-            (at_m - velocity * hit_s, velocity)
+            (at_m - velocity * hit_s, velocity, hit_s)
+        };
+        // Of the target as a whole: its velocity is linear between the rows of a track.
+        let accelerates = |hit_s: f64| {
+            let [before, after] = [-TRACK_STEP_S, TRACK_STEP_S]
+                .map(|step_s| self.state(target, utc, hit_s + step_s).1);
+            (after - before) / (2.0 * TRACK_STEP_S)
         };
         if let Some(swarm) = &self.swarms[target] {
             for k in 0..swarm.count {
@@ -316,10 +324,13 @@ impl Targets {
                     let one = swarm.individual(k, since_s + after_s);
                     (at_m + one.offset_m, velocity + one.velocity_m_per_s)
                 };
-                let (position_m, velocity_m_per_s) = at_hit(&place);
+                let (position_m, velocity_m_per_s, hit_s) = at_hit(&place);
+                let one = swarm.individual(k, since_s + hit_s);
                 take(MovingScatterer {
                     position_m,
                     velocity_m_per_s,
+                    acceleration_m_per_s2: accelerates(hit_s) + one.acceleration_m_per_s2,
+                    hit_s,
                     normal: super::UP,
                     strength: swarm.individual(k, since_s).strength,
                     law: ScatterLaw::Point,
@@ -336,10 +347,12 @@ impl Targets {
                 let (at_m, velocity) = self.state(target, utc, after_s);
                 (at_m + offset_m, velocity)
             };
-            let (position_m, velocity_m_per_s) = at_hit(&place);
+            let (position_m, velocity_m_per_s, hit_s) = at_hit(&place);
             take(MovingScatterer {
                 position_m,
                 velocity_m_per_s,
+                acceleration_m_per_s2: accelerates(hit_s),
+                hit_s,
                 normal: self.scatterers.normal[i],
                 strength: self.scatterers.strength[i],
                 law: self.scatterers.law[i],

@@ -52,6 +52,7 @@ pub enum SwarmShape {
 pub(crate) struct Individual {
     pub offset_m: DVec3,
     pub velocity_m_per_s: DVec3,
+    pub acceleration_m_per_s2: DVec3,
     pub strength: Complex64,
 }
 
@@ -113,7 +114,7 @@ impl Swarm {
 
     /// Individual `index` at a time since the first fix, seconds.
     pub(crate) fn individual(&self, index: usize, time_s: f64) -> Individual {
-        let (offset_m, velocity_m_per_s, phase) = match self.shape {
+        let (offset_m, velocity_m_per_s, acceleration_m_per_s2, phase) = match self.shape {
             SwarmShape::School {
                 half_m,
                 world_from_school,
@@ -131,9 +132,11 @@ impl Swarm {
                 let turns = start + sense * time_s / period_s;
                 let (sin, cos) = libm::sincos(TAU * (turns - turns.floor()));
                 let circle_m = swim_m_per_s * period_s / TAU;
+                let outward = DVec3::new(cos, sin, 0.0);
                 (
-                    base_m + circle_m * DVec3::new(cos, sin, 0.0),
+                    base_m + circle_m * outward,
                     sense * swim_m_per_s * DVec3::new(-sin, cos, 0.0),
+                    outward * (-swim_m_per_s * TAU / period_s),
                     phase,
                 )
             }
@@ -156,13 +159,19 @@ impl Swarm {
                 let age_s = up_m / rise_m_per_s;
                 let level_m = beside * (radius_m + spread * up_m) + drift_m_per_s * age_s;
                 let level = beside * (spread * rise_m_per_s) + drift_m_per_s;
-                (level_m.extend(-up_m), level.extend(-rise_m_per_s), phase)
+                (
+                    level_m.extend(-up_m),
+                    level.extend(-rise_m_per_s),
+                    DVec3::ZERO,
+                    phase,
+                )
             }
         };
         let (sin, cos) = libm::sincos(TAU * phase);
         Individual {
             offset_m,
             velocity_m_per_s,
+            acceleration_m_per_s2,
             strength: self.strength * Complex64::new(cos, sin),
         }
     }
@@ -224,6 +233,9 @@ mod tests {
                     // A bubble that leaves the top appears at the foot.
                     if moved.length() < 10.0 {
                         let off = (moved - middle.velocity_m_per_s).length();
+                        assert!(off < 1e-4, "{k} {time_s}: {off}");
+                        let turned = (b.velocity_m_per_s - a.velocity_m_per_s) / (2.0 * STEP_S);
+                        let off = (turned - middle.acceleration_m_per_s2).length();
                         assert!(off < 1e-4, "{k} {time_s}: {off}");
                     }
                     assert!(middle.offset_m.distance(middle_m) <= radius_m * (1.0 + 1e-9));

@@ -28,7 +28,7 @@ const RARE: f64 = 0.02;
 /// delay error of `shift_s` can move an edge across a sample, which then gains or loses the whole
 /// echo. The estimate has the strongest echo of a window once, plus the mean energy of all
 /// crossings.
-fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
+pub fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     let pulse = &conditions.pulse;
     if conditions.filter == ReceiverFilter::Fir || pulse.taper > 0.0 {
         return 0.0;

@@ -1,9 +1,10 @@
 //! Echoes of moving scatterers, by the exact times of emission, hit and reception.
 //!
-//! A scatterer S moves uniformly during the echo, the transmitter p and the element r on the trajectory of the platform. For sound emitted at t'
+//! A scatterer S moves with a constant acceleration during the echo, the transmitter p and the element r on the trajectory of the platform. For sound
+//! emitted at t'
 //!
 //! ```text
-//! hit        c (t1 - t') = |S(t1) - p(t')|        in closed form
+//! hit        c (t1 - t') = |S(t1) - p(t')|        in closed form without acceleration, and Newton's iteration
 //! reception  c (t - t1) = |S(t1) - r(t)|          by Newton's iteration
 //! ```
 //!
@@ -14,6 +15,8 @@
 //!
 //! Nothing depends on the plan's path and Doppler models, and no echo is culled: moving scatterers are few. Amplitudes follow
 //! [`levels`](super::levels) at the leading edge.
+//!
+//! [`MovingEchoes::checked`] solves sound between these instants on the whole trajectory and tells how far the parabola is off.
 
 use std::f64::consts::TAU;
 
@@ -31,6 +34,11 @@ use echotank_core::scene::{MovingScatterer, ScatterLaw};
 const INSTANTS: [f64; 3] = [0.0, 0.5, 1.0];
 /// Greatest ratio of the length of an echo to that of the pulse.
 const LONGEST_ECHO: f64 = 1.3;
+/// Instants at which the parabola is compared, as shares of the pulse: a cubic that is 0 at 0, 1/2 and 1 is largest within 4 % of those at 1/4 and 3/4.
+const BETWEEN: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+const LARGEST_BETWEEN: f64 = 1.04;
+/// Steps of Newton's iteration: the error falls with the square of the ratio of the speeds at least.
+const STEPS: usize = 4;
 /// Margin of the time around an echo in which the element's track is a parabola, seconds.
 const MARGIN_S: f64 = 1e-5;
 
@@ -63,7 +71,103 @@ struct Hit {
     normal: DVec3,
 }
 
+/// An echo, and how far it is off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CheckedEcho {
+    /// Of the leading edge, seconds.
+    pub delay_s: f64,
+    /// Square of the amplitude.
+    pub energy: f64,
+    /// Largest error of the delay at any instant of the pulse, seconds.
+    pub off_s: f64,
+}
+
+/// Motion of a point, counted from the reference point at the start of the pulse.
+#[derive(Clone, Copy)]
+struct Motion {
+    start_m: DVec3,
+    velocity: DVec3,
+    acceleration: DVec3,
+    hit_s: f64,
+}
+
+impl Motion {
+    fn at(&self, time_s: f64) -> (DVec3, DVec3) {
+        let since_s = time_s - self.hit_s;
+        (
+            self.start_m + self.velocity * time_s + self.acceleration * (0.5 * since_s * since_s),
+            self.velocity + self.acceleration * since_s,
+        )
+    }
+
+    /// Instant at which the sound emitted at `from_m` at an instant finds the point.
+    fn hit_s(&self, c: f64, (emitted_s, from_m): (f64, DVec3)) -> f64 {
+        let velocity = self.velocity;
+        let apart_m = self.start_m + velocity * emitted_s - from_m;
+        // |apart + v tau| = c tau
+        let (dot, left) = (apart_m.dot(velocity), c * c - velocity.length_squared());
+        let leg_s = (dot + (dot * dot + left * apart_m.length_squared()).sqrt()) / left;
+        let mut time_s = emitted_s + leg_s;
+        if self.acceleration != DVec3::ZERO {
+            for _ in 0..2 {
+                let (at_m, velocity) = self.at(time_s);
+                let ray_m = at_m - from_m;
+                let leg_m = ray_m.length().max(f64::MIN_POSITIVE);
+                let late_s = time_s - emitted_s - leg_m / c;
+                time_s -= late_s / (1.0 - ray_m.dot(velocity) / (leg_m * c));
+            }
+        }
+        time_s
+    }
+}
+
 impl MovingEchoes {
+    /// The echoes of every `stride`-th scatterer at one element, compared with sound solved on the whole trajectory. A scatterer whose echo has no level
+    /// there is left out.
+    pub fn checked<'a>(
+        plan: &'a PingPlan,
+        transmit: &'a TransmitArray,
+        (array, element): (&'a ArrayGeometry, usize),
+        scatterers: &'a [MovingScatterer],
+        stride: usize,
+        late_s: f64,
+    ) -> impl Iterator<Item = CheckedEcho> + 'a {
+        let path = Path::new(plan, transmit, array, late_s);
+        let receiver = Receiver::new(plan, array);
+        let along_m = array.element_x_m(element);
+        let body_m = array.element_body_m(element);
+        let (c, duration_s) = (plan.sound_speed_m_per_s, plan.pulse.duration_s);
+        let one = move |scatterer: &MovingScatterer| {
+            let pose_at = |time_s: f64| plan.trajectory.pose_from(path.origin_m, time_s);
+            let echo = receiver.echo(&path.hit(scatterer), along_m);
+            let energy = echo.amplitude.norm_sqr();
+            let (seen, sent) = path.motions(scatterer);
+            let off_s = |share: f64| {
+                let emitted_s = share * duration_s;
+                let from_m = pose_at(emitted_s).point_m(transmit.mounting.position_m);
+                let hit_s = sent.hit_s(c, (emitted_s, from_m));
+                let at_m = seen.at(hit_s).0;
+                let mut received_s = echo.delay_s + emitted_s;
+                for _ in 0..STEPS {
+                    let pose = pose_at(received_s);
+                    let ray_m = at_m - pose.point_m(body_m);
+                    let leg_m = ray_m.length().max(f64::MIN_POSITIVE);
+                    let closing = ray_m.dot(pose.point_velocity_m_per_s(body_m)) / (leg_m * c);
+                    received_s -= (received_s - hit_s - leg_m / c) / (1.0 + closing);
+                }
+                let s = received_s - echo.delay_s;
+                (s + (echo.doppler + echo.curvature_per_s * s) * s - emitted_s).abs()
+            };
+            CheckedEcho {
+                delay_s: echo.delay_s,
+                energy,
+                off_s: LARGEST_BETWEEN * BETWEEN.map(off_s).into_iter().fold(0.0, f64::max),
+            }
+        };
+        let echoes = scatterers.iter().step_by(stride.max(1)).map(one);
+        echoes.filter(|echo| echo.energy > 0.0)
+    }
+
     /// Solves the hits of a pulse that starts `late_s` after the start of the ping, to which the positions of the scatterers refer.
     pub fn prepare(
         &mut self,
@@ -186,33 +290,42 @@ impl<'a> Path<'a> {
         }
     }
 
+    /// Motion of the point that the receiver sees, and of the one that the transmitter sees.
+    fn motions(&self, scatterer: &MovingScatterer) -> (Motion, Motion) {
+        let motion = |position_m: DVec3, velocity: DVec3, acceleration: DVec3| Motion {
+            start_m: (position_m - self.origin_m) + velocity * self.late_s,
+            velocity,
+            acceleration,
+            hit_s: scatterer.hit_s - self.late_s,
+        };
+        let seen = motion(
+            scatterer.position_m,
+            scatterer.velocity_m_per_s,
+            scatterer.acceleration_m_per_s2,
+        );
+        let sent = scatterer.transmit.map_or(seen, |transmit| {
+            motion(
+                transmit.position_m,
+                transmit.velocity_m_per_s,
+                transmit.acceleration_m_per_s2,
+            )
+        });
+        (seen, sent)
+    }
+
     fn hit(&self, scatterer: &MovingScatterer) -> Hit {
         let (plan, c) = (self.plan, self.plan.sound_speed_m_per_s);
         let duration_s = plan.pulse.duration_s;
-        let start = |position_m: DVec3, velocity: DVec3| {
-            (
-                (position_m - self.origin_m) + velocity * self.late_s,
-                velocity,
-            )
-        };
-        let seen = start(scatterer.position_m, scatterer.velocity_m_per_s);
-        let sent = scatterer.transmit.map_or(seen, |transmit| {
-            start(transmit.position_m, transmit.velocity_m_per_s)
-        });
-        let (start_m, velocity) = sent;
+        let (seen, sent) = self.motions(scatterer);
         let (mut time_s, mut at_m) = ([0.0; 3], [DVec3::ZERO; 3]);
         for k in 0..3 {
             let emitted_s = INSTANTS[k] * duration_s;
-            let apart_m = start_m + velocity * emitted_s - self.transmit_m[k];
-            // |apart + v tau| = c tau
-            let (dot, left) = (apart_m.dot(velocity), c * c - velocity.length_squared());
-            let leg_s = (dot + (dot * dot + left * apart_m.length_squared()).sqrt()) / left;
-            time_s[k] = emitted_s + leg_s;
-            at_m[k] = start_m + velocity * time_s[k];
+            time_s[k] = sent.hit_s(c, (emitted_s, self.transmit_m[k]));
+            at_m[k] = sent.at(time_s[k]).0;
         }
         let ray_m = at_m[0] - self.transmit_m[0];
         if scatterer.transmit.is_some() {
-            at_m = time_s.map(|time_s| seen.0 + seen.1 * time_s);
+            at_m = time_s.map(|time_s| seen.at(time_s).0);
         }
         let pose_at = |time_s: f64| plan.trajectory.pose_from(self.origin_m, time_s);
         let mounting = &self.array.mounting;

@@ -7,9 +7,13 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use echotank_config::spec::RigSpec;
-use echotank_core::ping::PingOutput;
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::scene::MovingScatterer;
 use echotank_ping::line_truth::line_truths;
 use echotank_ping::make_ping;
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::{MotionScale, Scene, rank};
+use echotank_ping::methods::Family;
 use echotank_ping::threads::pool;
 use echotank_runtime::config_files::parse;
 use echotank_runtime::recorded::RecordedRig;
@@ -30,6 +34,22 @@ fn target_m(t: f64) -> DVec3 {
 
 /// One omnidirectional transmitter and element on a platform that moves north.
 fn config(folder: &Path, targets: &str, synthesis: &str, water: &str) -> RigSpec {
+    config_of_pulse(
+        folder,
+        targets,
+        synthesis,
+        water,
+        "kind = \"cw\"\nduration_ms = 1.0",
+    )
+}
+
+fn config_of_pulse(
+    folder: &Path,
+    targets: &str,
+    synthesis: &str,
+    water: &str,
+    pulse: &str,
+) -> RigSpec {
     let mut rows = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
     for k in 0..60 {
         let t = f64::from(k) * 0.5;
@@ -62,9 +82,8 @@ targets = "targets.toml"
 [[sonar]]
 name = "one"
 [sonar.pulse]
-kind = "cw"
+{pulse}
 center_frequency_khz = 100.0
-duration_ms = 1.0
 [[sonar.transmit]]
 name = "tx"
 position_m = [0.0, 0.0, {SONAR_M}]
@@ -388,4 +407,149 @@ target_strength_db = -40.0
     let db = 10.0 * (energy / want).log10();
     println!("{db:+.2} dB");
     assert!(db.abs() < 0.5, "{db} dB");
+}
+
+/// A school whose fish turn fast while it passes at speed, in long pulses: errors of windows against the sum of exact waves, and what is predicted.
+#[test]
+fn the_error_of_moving_scatterers_is_predicted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, pulse, speed, individuals) in [
+        (
+            "one, chirp",
+            "kind = \"lfm\"\nbandwidth_khz = 12.0\nduration_ms = 8.0",
+            18.0,
+            1,
+        ),
+        (
+            "school, chirp",
+            "kind = \"lfm\"\nbandwidth_khz = 12.0\nduration_ms = 8.0",
+            18.0,
+            80,
+        ),
+        (
+            "school, tone",
+            "kind = \"cw\"\nduration_ms = 10.0",
+            12.0,
+            60,
+        ),
+        (
+            "slow school, tone",
+            "kind = \"cw\"\nduration_ms = 4.0",
+            1.0,
+            60,
+        ),
+    ] {
+        let school = format!(
+            "[[target]]\nname = \"school\"\nshape = \"school\"\nnorth_m = 2.0\neast_m = 11.0\ndown_m = 6.0\n\
+             size_m = [7.0, 5.0, 2.0]\nindividuals = {individuals}\nswim_m_per_s = 2.0\n\
+             velocity_m_per_s = [-{speed}, {}, 0.0]\ntarget_strength_db = -45.0\n",
+            0.5 * speed
+        );
+        let spec = config_of_pulse(folder.path(), &school, "direct", WATERS[0], pulse);
+        pool(2).expect("threads").install(|| {
+            let mut recorded = RecordedRig::open(&spec).expect("opens");
+            let mut slot = recorded.rig.slot(0);
+            let (sonar, order) = recorded.next_order(1).expect("an order");
+            assert!(recorded.settle(sonar, &order));
+            let (mode, utc) = (spec.nav.mode, order.transmit_utc);
+            make_ping(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("a ping");
+            let (plan, scatterers) = (&slot.plan, recorded.rig.scatterers());
+            assert_eq!(scatterers.moving.len(), individuals);
+            let ranking = rank(
+                &Scene {
+                    spec: &spec.sonars[0],
+                    medium: &spec.medium,
+                    plan,
+                    scatterers,
+                    count: 0,
+                    costs: &Costs::committed(),
+                    motion_scale: MotionScale::NONE,
+                },
+                &[],
+            );
+            let part = ranking
+                .expect("methods")
+                .chosen()
+                .part(Family::Moving)
+                .clone();
+            let iq = slot.output.elements[0].element(0);
+            let want = exact_samples(plan, &scatterers.moving, iq.len());
+            let window = (plan.pulse.duration_s * RATE_HZ) as usize;
+            let energy = |w: &[Complex64]| w.iter().map(|x| x.norm_sqr()).sum::<f64>();
+            let starts = || (0..iq.len() - window).step_by(window / 8);
+            let strongest = starts().map(|k| energy(&want[k..k + window]));
+            let floor = strongest.fold(0.0, f64::max) * 10f64.powf(-5.5);
+            let errors = starts().map(|k| {
+                let pairs = iq[k..k + window].iter().zip(&want[k..k + window]);
+                let off: f64 = pairs.map(|(a, b)| (a - b).norm_sqr()).sum();
+                (off / energy(&want[k..k + window]).max(floor)).sqrt()
+            });
+            let worst = errors.fold(0.0, f64::max);
+            println!(
+                "{name}: {worst:.2e}, predicted {:.2e} ({})",
+                part.error, part.why
+            );
+            assert!(
+                worst <= part.error,
+                "{name}: {worst:.2e} {:.2e}",
+                part.error
+            );
+            assert!(
+                part.error < 12.0 * worst,
+                "{name}: {worst:.2e} {:.2e}",
+                part.error
+            );
+            assert!(part.cost_ms > 0.0);
+        });
+    }
+}
+
+/// Sum of the waves of all scatterers, each emission time by Newton's iteration on the whole trajectory.
+fn exact_samples(plan: &PingPlan, moving: &[MovingScatterer], count: usize) -> Vec<Complex64> {
+    let sonar_m = |t: f64| plan.trajectory.pose_at(t).point_m(DVec3::Z * SONAR_M);
+    let mut sum = vec![Complex64::ZERO; count];
+    for s in moving {
+        let at_m = |t: f64| {
+            let since_s = t - s.hit_s;
+            s.position_m
+                + s.velocity_m_per_s * t
+                + s.acceleration_m_per_s2 * (0.5 * since_s * since_s)
+        };
+        // Fixed points: each round is better by the ratio of the speeds.
+        let emitted = |t: f64| {
+            let receive_m = sonar_m(t);
+            let mut hit_s = t - at_m(t).distance(receive_m) / C;
+            for _ in 0..12 {
+                hit_s = t - at_m(hit_s).distance(receive_m) / C;
+            }
+            let hit_m = at_m(hit_s);
+            let mut sent_s = hit_s - sonar_m(hit_s).distance(hit_m) / C;
+            for _ in 0..12 {
+                sent_s = hit_s - sonar_m(sent_s).distance(hit_m) / C;
+            }
+            (sent_s, (hit_s - sent_s) * C, (t - hit_s) * C)
+        };
+        let (mut low, mut high) = (0.0, 0.2);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            match emitted(middle).0 < 0.0 {
+                true => low = middle,
+                false => high = middle,
+            }
+        }
+        let (_, out_m, back_m) = emitted(low);
+        let amplitude = s.strength * 1e10 / (out_m * back_m);
+        for (k, sum) in sum.iter_mut().enumerate() {
+            let t = plan.first_sample_s + k as f64 / RATE_HZ;
+            if t < low || t > low + 1.1 * plan.pulse.duration_s {
+                continue;
+            }
+            let (sent_s, ..) = emitted(t);
+            let cycles = CARRIER_HZ * (sent_s - t);
+            *sum += amplitude
+                * plan.pulse.envelope(sent_s)
+                * Complex64::cis(TAU * (cycles - cycles.round()));
+        }
+    }
+    sum
 }

@@ -12,9 +12,11 @@ use echotank_ping::rig::PingSlot;
 use echotank_ping::threads::pool;
 use echotank_runtime::config_files::parse;
 use echotank_runtime::recorded::RecordedRig;
+use echotank_scene::draws::{fraction, philox};
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::boundaries::SeaSurface;
 use echotank_synthesis::echo::moving::MovingEchoes;
+use echotank_synthesis::echo::wind_sea::WindSea;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -666,6 +668,156 @@ fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
     println!("variance {ratio:.3} of the predicted one, Gaussian p = {p:.2}");
     assert!((ratio - 1.0).abs() < 0.12, "{ratio}");
     assert!(p > 0.01, "p = {p}");
+}
+
+/// In wind of one direction, mean and variance of the Doppler in four directions of look are those of the spectrum and its directions: a drift of
+/// 0.0134 U cos(angle) with the wind, and m2 sin^2 + m2 (3/4 cos^2 + 1/4 sin^2 of the angle) cos^2 of the elevation.
+#[test]
+fn the_doppler_of_the_surface_depends_on_the_direction_of_look() {
+    const WIND: f64 = 4.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let setup = Setup {
+        khz: 100.0,
+        range_m: 12.0,
+        medium: &format!(
+            "wind_m_per_s = {WIND}\n[medium.surface]\nscattering = true\nwaves = true\nwind_from_deg = 200.0"
+        ),
+        scene: &plane(60.0, "density_per_m2 = 4.0"),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    let spec = rig(folder.path(), &setup);
+    let m2 = vertical_variance(WIND);
+    // Towards 20 degrees.
+    let with_wind = DVec3::new(20f64.to_radians().cos(), 20f64.to_radians().sin(), 0.0);
+    let mut sums = [[0.0; 5]; 4];
+    gather_pings(&spec, 390, |plan, all| {
+        let sonar = &spec.sonars[0];
+        let mut moving = MovingEchoes::default();
+        moving.prepare(plan, &sonar.transmit, &sonar.receive, &all.moving, 0.0);
+        let mut dopplers = Dopplers::default();
+        moving.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
+        for ([doppler, _, intensity], s) in dopplers.echoes.iter().zip(&all.moving) {
+            let ray =
+                (s.position_m + s.velocity_m_per_s * s.hit_s - DVec3::Z * SONAR_M).normalize();
+            let level = ray.truncate().normalize();
+            let (along, across) = (
+                level.dot(with_wind.truncate()),
+                level.perp_dot(with_wind.truncate()),
+            );
+            let cos2 = 1.0 - ray.z * ray.z;
+            let sector = match (along.abs() > 0.94, across.abs() > 0.94) {
+                (true, _) => usize::from(along < 0.0),
+                (_, true) => 2 + usize::from(across < 0.0),
+                _ => continue,
+            };
+            if cos2 < 0.5 {
+                continue;
+            }
+            let radial = -0.5 * C * doppler;
+            let drift = 0.0134 * WIND * along * cos2.sqrt();
+            let variance =
+                m2 * (1.0 - cos2 + cos2 * (0.75 * along * along + 0.25 * across * across));
+            let sums = &mut sums[sector];
+            sums[0] += intensity;
+            sums[1] += intensity * radial;
+            sums[2] += intensity * drift;
+            sums[3] += intensity * (radial - drift).powi(2);
+            sums[4] += intensity * variance;
+        }
+    });
+    for (name, [weight, radial, drift, square, variance]) in
+        ["downwind", "upwind", "across", "across"]
+            .into_iter()
+            .zip(sums)
+    {
+        let (mean, want) = (radial / weight, drift / weight);
+        let ratio = square / variance;
+        let deviation = (variance / weight).sqrt();
+        println!(
+            "{name}: mean {mean:+.4} m/s, predicted {want:+.4}; deviation {deviation:.3} m/s, variance {ratio:.3} of the predicted one"
+        );
+        assert!((mean - want).abs() < 0.005, "{name}: {mean} {want}");
+        assert!((ratio - 1.0).abs() < 0.08, "{name}: {ratio}");
+    }
+    // In the wind and across it they differ.
+    assert!(sums[0][3] / sums[0][0] > 1.5 * sums[2][3] / sums[2][0]);
+}
+
+/// The echo of a point that the surface reflects twice has the phase of the surface's height at the places and the times of both reflections, ping by ping.
+#[test]
+fn heights_move_the_image_by_the_surface_at_the_place_and_time_of_the_reflection() {
+    const BOTTOM_M: f64 = 20.0;
+    const EAST_M: f64 = 18.0;
+    const WIND: f64 = 8.0;
+    let folder = tempfile::tempdir().expect("a folder");
+    let points = folder.path().join("points.csv");
+    std::fs::write(
+        &points,
+        format!("north_m,east_m,down_m,amplitude\n0,{EAST_M},{BOTTOM_M},1\n"),
+    )
+    .expect("points");
+    let scene = format!(
+        "[scene]\nocclusion = \"none\"\npoints = \"{}\"",
+        points.display()
+    );
+    for water in [
+        "",
+        "profile = { points = [[0.0, 1500.0], [60.0, 1500.0]] }\n",
+    ] {
+        let medium = format!(
+            "{water}wind_m_per_s = {WIND}\n[medium.surface]\nroughness_m = 0.0\nheights = true\nwind_from_deg = 40.0\n[medium.multipath]\nlegs = \"surface\""
+        );
+        let setup = Setup {
+            khz: 12.0,
+            range_m: 32.0,
+            medium: &medium,
+            scene: &scene,
+            model: DIRECT,
+            patterns: OMNI,
+            speed: 0.0,
+        };
+        let spec = rig(folder.path(), &setup);
+        let key = [spec.scene.seed as u32, (spec.scene.seed >> 32) as u32];
+        let sea = WindSea::new(WIND, Some(40f64.to_radians()), |i| {
+            fraction(philox([i, 0, 0x3A7E, 0x5EA5_0FAC], key)[0])
+        });
+        // Longer than eight depths of the sonar.
+        let longer_m = 8.0 * SONAR_M;
+        let (mut worst, mut least_m, mut most_m) = (0.0f64, f64::INFINITY, f64::NEG_INFINITY);
+        pool(2).expect("threads").install(|| {
+            pings(&spec, 60, |_, slot, _| {
+                let plan = &slot.plan;
+                let utc_s = plan.transmit_utc.0 as f64 * 1e-9;
+                let share = SONAR_M / (SONAR_M + BOTTOM_M);
+                let height_m = |after_s: f64| {
+                    sea.height_m(0.0, share * EAST_M, utc_s + after_s, longer_m)
+                        .0
+                };
+                let flat_m = EAST_M.hypot(SONAR_M + BOTTOM_M);
+                let leg_m = |h: f64| EAST_M.hypot(SONAR_M + BOTTOM_M + 2.0 * h);
+                let first_s = share * flat_m / C;
+                let out_m = leg_m(height_m(first_s));
+                let back_m = leg_m(height_m((2.0 * flat_m) / C - first_s));
+                let delay_s = (out_m + back_m) / C;
+                least_m = least_m.min(out_m + back_m);
+                most_m = most_m.max(out_m + back_m);
+                let k = ((delay_s + 2e-4 - plan.first_sample_s) * RATE_HZ).round() as usize;
+                let sample = slot.output.elements[0].element(0)[k];
+                // Two reflections turn the phase by a whole turn.
+                let cycles = -12e3 * delay_s;
+                let want = Complex64::cis(TAU * (cycles - cycles.round()));
+                worst = worst.max((sample / want).arg().abs() / TAU);
+            });
+        });
+        println!(
+            "phase within {worst:.1e} of a wavelength, while the path changes by {:.2} m",
+            most_m - least_m
+        );
+        assert!(worst < 1e-3, "{worst}");
+        assert!(most_m - least_m > 0.5, "the surface moves");
+    }
 }
 
 /// The Doppler of bottom echoes by a surface with waves: Gaussian, with the variance (2 sin psi)^2 m2 of the vertical velocity of the facets. A pulse

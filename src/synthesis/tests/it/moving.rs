@@ -22,6 +22,8 @@ fn mover(position_m: DVec3, velocity_m_per_s: DVec3) -> MovingScatterer {
     MovingScatterer {
         position_m,
         velocity_m_per_s,
+        acceleration_m_per_s2: DVec3::ZERO,
+        hit_s: 0.0,
         normal: [0.0; 3],
         strength: Complex64::new(3.0, -4.0),
         law: ScatterLaw::Point,
@@ -52,7 +54,10 @@ struct Exact<'a> {
 
 impl Exact<'_> {
     fn target_m(&self, time_s: f64) -> DVec3 {
-        self.scatterer.position_m + self.scatterer.velocity_m_per_s * time_s
+        let since_s = time_s - self.scatterer.hit_s;
+        self.scatterer.position_m
+            + self.scatterer.velocity_m_per_s * time_s
+            + self.scatterer.acceleration_m_per_s2 * (0.5 * since_s * since_s)
     }
 
     fn emitted_s(&self, time_s: f64) -> f64 {
@@ -108,13 +113,29 @@ fn echoes_of_moving_targets_agree_with_an_exact_wave() {
             let transmit = transmitter(DVec3::new(0.1, 0.2, -0.1));
             let array = line(DVec3::new(-0.2, 0.4, 0.3), 128);
             let start_m = plan.trajectory.pose_at(0.0).position_m;
-            let mut worst = 0.0_f64;
-            for (offset_m, velocity) in [
-                (DVec3::new(5.0, 20.0, 12.0), DVec3::new(0.3, -0.2, 0.1)),
-                (DVec3::new(-2.0, 7.0, 3.0), DVec3::new(-4.0, 9.0, 1.0)),
-                (DVec3::new(30.0, 40.0, 3.0), DVec3::new(25.0, 20.0, 0.0)),
+            let (mut worst, mut loosest) = (0.0_f64, 0.0_f64);
+            for (offset_m, velocity, acceleration) in [
+                (
+                    DVec3::new(5.0, 20.0, 12.0),
+                    DVec3::new(0.3, -0.2, 0.1),
+                    DVec3::new(1.5, 3.0, -2.0),
+                ),
+                (
+                    DVec3::new(-2.0, 7.0, 3.0),
+                    DVec3::new(-4.0, 9.0, 1.0),
+                    DVec3::ZERO,
+                ),
+                (
+                    DVec3::new(30.0, 40.0, 3.0),
+                    DVec3::new(25.0, 20.0, 0.0),
+                    DVec3::new(-6.0, 2.0, 4.0),
+                ),
             ] {
-                let scatterer = mover(start_m + offset_m, velocity);
+                let scatterer = MovingScatterer {
+                    acceleration_m_per_s2: acceleration,
+                    hit_s: offset_m.length() / C,
+                    ..mover(start_m + offset_m, velocity)
+                };
                 let mut echoes = MovingEchoes::default();
                 let of = from_ref(&scatterer);
                 echoes.prepare(&plan, from_ref(&transmit), from_ref(&array), of, 0.0);
@@ -157,6 +178,22 @@ fn echoes_of_moving_targets_agree_with_an_exact_wave() {
                     let bound = TAU * pulse.center_frequency_hz * third_s;
                     let error = (off / all).sqrt();
                     worst = worst.max(error);
+                    let at = (&array, element);
+                    let checked = MovingEchoes::checked(&plan, &transmit, at, of, 1, 0.0).next();
+                    let checked = checked.expect("an echo");
+                    let highest_hz = pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz;
+                    let predicted = TAU * highest_hz * checked.off_s;
+                    loosest = loosest.max(predicted / error);
+                    assert!((checked.delay_s - delay_s).abs() < 1e-9);
+                    // Of the worst window: the whole echo has less.
+                    assert!(
+                        error < predicted + 1e-6,
+                        "{motion}, {name}: {error:.1e}, predicted {predicted:.1e}"
+                    );
+                    assert!(
+                        error < 1e-6 || predicted < 4.0 * error,
+                        "{motion}, {name}: {error:.1e}, predicted {predicted:.1e}"
+                    );
                     // Bisection far from the world's origin is good to 1e-10 m, or 2e-7 rad.
                     let allowed = 1.5 * bound + 1e-6;
                     assert!(
@@ -165,7 +202,7 @@ fn echoes_of_moving_targets_agree_with_an_exact_wave() {
                     );
                 }
             }
-            println!("{motion}, {name}: {worst:.1e}");
+            println!("{motion}, {name}: {worst:.1e}, at most {loosest:.1} times predicted");
         }
     }
 }

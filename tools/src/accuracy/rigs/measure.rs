@@ -33,7 +33,7 @@ const OTHERS: usize = 12;
 pub(crate) struct CandidateResult {
     pub(crate) text: String,
     /// Predicted errors by method family.
-    pub(crate) parts: [f64; 5],
+    pub(crate) parts: [f64; Family::ALL.len()],
     pub(crate) predicted_error: f64,
     pub(crate) predicted_ms: f64,
     /// Largest windowed error of any element, relative to the level of the window or of the element's whole ping, whichever is
