@@ -111,6 +111,42 @@ pub struct Refraction {
     pub floor_m: f64,
     /// Where echoes by surface and bottom are made.
     pub reflections: Option<Reflections>,
+    /// Some of the scatterers.
+    pub places: SampledPlaces,
+}
+
+/// Places of an even sample of the scatterers of a ping, before they are replaced by virtual points: for the error model of these.
+#[derive(Clone, Copy, Debug)]
+pub struct SampledPlaces {
+    at_m: [DVec3; Self::MAX],
+    count: usize,
+}
+
+impl SampledPlaces {
+    /// Places, at most.
+    pub const MAX: usize = 64;
+
+    /// Places, world, metres.
+    pub fn at_m(&self) -> &[DVec3] {
+        &self.at_m[..self.count]
+    }
+
+    /// Takes an even sample of `count` places.
+    pub fn sample(&mut self, count: usize, place_m: impl Fn(usize) -> DVec3) {
+        self.count = count.min(Self::MAX);
+        for (k, at_m) in self.at_m[..self.count].iter_mut().enumerate() {
+            *at_m = place_m((2 * k + 1) * count / (2 * self.count));
+        }
+    }
+}
+
+impl Default for SampledPlaces {
+    fn default() -> Self {
+        Self {
+            at_m: [DVec3::ZERO; Self::MAX],
+            count: 0,
+        }
+    }
 }
 
 /// Boundaries that reflect sound.

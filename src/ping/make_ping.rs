@@ -140,7 +140,7 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     rig.append_moving(&slot.plan, &mut scatterers, &mut slot.output.scene);
     slot.output.scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
     rig.append_volume(&slot.plan, &mut scatterers, &mut slot.output.scene);
-    rig.propagate(&slot.plan, &mut scatterers, &mut slot.output.scene);
+    rig.propagate(&mut slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.scatterers = scatterers;
     let unit = &mut rig.sonars[sonar];
     let finder = &mut unit.range_floors;

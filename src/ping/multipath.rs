@@ -1054,7 +1054,7 @@ impl Rig {
     /// footprints of its scene have been widened.
     pub fn propagate(
         &mut self,
-        plan: &PingPlan,
+        plan: &mut PingPlan,
         scatterers: &mut Scatterers,
         counts: &mut SceneCounts,
     ) {

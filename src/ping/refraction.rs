@@ -13,7 +13,8 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::ping::{PingPlan, Refraction};
 use echotank_core::scene::{MovingScatterer, Scatterers};
 use echotank_core::sound_speed::SoundSpeedProfile;
-use echotank_synthesis::echo::rays::{self, VirtualPoints, virtual_point_error};
+use echotank_synthesis::echo::rays::{self, VirtualPoints, place_error, virtual_point_error};
+use echotank_synthesis::error_model::Conditions;
 
 impl Rig {
     /// Replaces the sound-speed profile of the pings to come. Windows and buffers stay those of the configured one.
@@ -37,6 +38,7 @@ impl Rig {
                 array_m,
                 floor_m: altitude_m.map_or(SoundSpeedProfile::MAX_DEPTH_M, |up_m| array_m.z + up_m),
                 reflections: self.multipath.as_ref().map(Multipath::reflections),
+                places: Default::default(),
             }
         });
         if let Some(water) = &plan.refraction {
@@ -44,11 +46,19 @@ impl Rig {
         }
     }
 
-    /// Tabulates the rays of a ping, if its water bends sound.
-    pub(crate) fn aim(&mut self, plan: &PingPlan, scatterers: &Scatterers) {
-        let (Some(water), Some(points)) = (&plan.refraction, &mut self.virtual_points) else {
+    /// Tabulates the rays of a ping and notes some of its scatterers, if its water bends sound.
+    pub(crate) fn aim(&mut self, plan: &mut PingPlan, scatterers: &Scatterers) {
+        let (Some(water), Some(points)) = (&mut plan.refraction, &mut self.virtual_points) else {
             return;
         };
+        let at_rest = scatterers.len();
+        let moving = &scatterers.moving;
+        water
+            .places
+            .sample(at_rest + moving.len(), |i| match i.checked_sub(at_rest) {
+                None => scatterers.position_m(i),
+                Some(k) => moving[k].position_m,
+            });
         let depths_m = scatterers.down_m.iter();
         let deepest_m = depths_m.fold(f64::NEG_INFINITY, |deepest, down| deepest.max(*down));
         let moving = scatterers.moving.iter();
@@ -156,8 +166,11 @@ pub fn virtual_point_m(plan: &PingPlan, at_m: DVec3) -> Option<DVec3> {
     }
 }
 
-/// Bound of the relative error of element samples by virtual points, at the seabed below the sonar or the deepest scatterer: of both legs, for the
-/// transmitter and the ends of the arrays, and how far these move while the sonar listens.
+/// A sample of the scatterers may miss the worst, except at the depth of the seabed, of which all rays are looked at.
+const MARGIN: f64 = 1.2;
+
+/// Bound of the relative error of element samples by virtual points, at the seabed below the sonar or the deepest scatterer, and at a sample of the
+/// scatterers, wherever they lie: of both legs, for the transmitter and the ends of the arrays, and how far these move while the sonar listens.
 pub(crate) fn refraction_error(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let Some(water) = &plan.refraction else {
         return 0.0;
@@ -178,12 +191,19 @@ pub(crate) fn refraction_error(spec: &SonarSpec, plan: &PingPlan, scatterers: &S
             vertical_m + moved_m.z.abs(),
         );
         let carrier_hz = plan.pulse.center_frequency_hz;
-        virtual_point_error(water, carrier_hz, offsets_m, depth_m)
+        let of_seabed = virtual_point_error(water, carrier_hz, offsets_m, depth_m);
+        let places_m = water.places.at_m().iter();
+        let of_places = places_m.map(|at_m| {
+            let is_on_seabed = (at_m.z - depth_m).abs() < 0.1 * (depth_m - water.array_m.z);
+            let margin = if is_on_seabed { 1.0 } else { MARGIN };
+            margin * place_error(water, carrier_hz, offsets_m, *at_m)
+        });
+        of_places.fold(of_seabed, f64::max)
     };
     let transmit = &mut spec.transmit.iter().map(|t| t.mounting.position_m);
     let receive = &mut spec
         .receive
         .iter()
         .flat_map(|array| [0, array.elements - 1].map(|e| array.element_body_m(e)));
-    leg(transmit, DVec3::ZERO) + leg(receive, moved_m)
+    Conditions::error_of_phase(leg(transmit, DVec3::ZERO) + leg(receive, moved_m))
 }

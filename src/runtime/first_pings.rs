@@ -306,7 +306,7 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             rig.append_moving(&slot.plan, &mut scatterers, &mut scene);
             scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
             rig.append_volume(&slot.plan, &mut scatterers, &mut scene);
-            rig.propagate(&slot.plan, &mut scatterers, &mut scene);
+            rig.propagate(&mut slot.plan, &mut scatterers, &mut scene);
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
             (slot.plan.clone(), scatterers, scene)
         };

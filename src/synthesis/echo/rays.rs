@@ -141,21 +141,30 @@ pub fn ray(
     range_m: f64,
     floor_m: f64,
 ) -> Option<Ray> {
-    let path = Path {
-        profile,
-        upper_m: from_m.min(to_m),
-        lower_m: from_m.max(to_m),
-        range_m,
+    let path = Path::between_depths(profile, from_m, to_m, range_m);
+    Some(path.earliest(floor_m)?.ray(from_m, to_m))
+}
+
+/// Largest phase error of an element by the virtual point of one place, as [`virtual_point_error`] has it, by the ray of that place: directly or by a turn,
+/// down or up. Zero without a ray, and for a level one, which is straight.
+pub fn place_error(
+    water: &Refraction,
+    frequency_hz: f64,
+    offsets_m: (f64, f64),
+    at_m: DVec3,
+) -> f64 {
+    let range_m = (at_m - water.array_m).truncate().length();
+    let path = Path::between_depths(&water.profile, water.array_m.z, at_m.z, range_m);
+    let Some(found) = path.earliest(water.floor_m) else {
+        return 0.0;
     };
-    let found = path.direct().or_else(|| {
-        let above = path.turning(Turn::Above, 0.0);
-        let below = path.turning(Turn::Below, floor_m);
-        match (above, below) {
-            (Some(a), Some(b)) if b.sums.time_s < a.sums.time_s => Some(b),
-            (above, below) => above.or(below),
-        }
-    })?;
-    Some(found.ray(from_m, to_m))
+    if path.is_level() && found.turn == Turn::None {
+        return 0.0;
+    }
+    let at = (water.sound_speed_m_per_s(), found.p);
+    let gradient_per_s = water.profile.max_gradient_per_s();
+    let error_s = curvature_error_s(at, &found.sums, gradient_per_s, offsets_m);
+    std::f64::consts::PI * frequency_hz * error_s
 }
 
 /// How a ray leaves the depths between its ends.
@@ -215,7 +224,33 @@ pub(super) fn spreading_per_m(sums: &Sums, (c1, s1): (f64, f64), (c2, s2): (f64,
     (c1 * c2 / tube.max(f64::MIN_POSITIVE)).sqrt()
 }
 
-impl Path<'_> {
+impl<'a> Path<'a> {
+    fn between_depths(
+        profile: &'a SoundSpeedProfile,
+        from_m: f64,
+        to_m: f64,
+        range_m: f64,
+    ) -> Self {
+        Self {
+            profile,
+            upper_m: from_m.min(to_m),
+            lower_m: from_m.max(to_m),
+            range_m,
+        }
+    }
+
+    /// The ray that turns nowhere, else the earlier of those that turn above and below.
+    fn earliest(&self, floor_m: f64) -> Option<Found> {
+        self.direct().or_else(|| {
+            let above = self.turning(Turn::Above, 0.0);
+            let below = self.turning(Turn::Below, floor_m);
+            match (above, below) {
+                (Some(a), Some(b)) if b.sums.time_s < a.sums.time_s => Some(b),
+                (above, below) => above.or(below),
+            }
+        })
+    }
+
     fn is_level(&self) -> bool {
         self.lower_m - self.upper_m < SAME_DEPTH_M
     }
@@ -531,6 +566,7 @@ impl VirtualPoints {
                 array_m: DVec3::ZERO,
                 floor_m: 0.0,
                 reflections: None,
+                places: Default::default(),
             },
             c0: f64::NAN,
             nepers_per_m: 0.0,
@@ -692,7 +728,8 @@ impl VirtualPoints {
 }
 
 /// Largest phase error of an element that lies at most `level_m` level and `vertical_m` vertical metres from the place of the array, radians: bound of the
-/// relative error of its samples. For scatterers at `depth_m` that a ray of the table reaches, at rest, to second order in the offset.
+/// relative error of its samples. For scatterers at `depth_m` that a ray of the table reaches, at rest, to second order in the offset. [`place_error`] is that
+/// of one place.
 ///
 /// The delay at an element is the delay at the array, its gradient, which is that of the virtual point, and a curvature, which differs: over range it is
 /// dp/dr instead of s^2 / (c0 R), across it p / r instead of 1 / (c0 R), with R = c0 T. The rest follows from the eikonal equation T_r^2 + T_z^2 = 1 / c^2.
@@ -728,6 +765,9 @@ pub fn virtual_point_error(
     std::f64::consts::PI * frequency_hz * direct_s.max(reflected_s)
 }
 
+/// Sine of the elevation at the array below which a ray counts as so steep: the curvature upright grows without bound there.
+const LEVEL_SINE: f64 = 1e-3;
+
 /// Twice the error of the delay of one ray at an offset from the array, seconds.
 pub(super) fn curvature_error_s(
     (c0, p): (f64, f64),
@@ -735,7 +775,7 @@ pub(super) fn curvature_error_s(
     gradient_per_s: f64,
     (level_m, vertical_m): (f64, f64),
 ) -> f64 {
-    let s = (1.0 - (p * c0) * (p * c0)).max(0.0).sqrt();
+    let s = (1.0 - (p * c0) * (p * c0)).max(0.0).sqrt().max(LEVEL_SINE);
     let virtual_s = 1.0 / (c0 * c0 * sums.time_s);
     let along = (1.0 / sums.range_by_p - s * s * virtual_s).abs();
     let across = (1.0 / sums.range_per_p - virtual_s).abs();

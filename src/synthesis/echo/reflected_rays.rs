@@ -137,6 +137,7 @@ impl ReflectedRays {
                 array_m: DVec3::ZERO,
                 floor_m: 0.0,
                 reflections: None,
+                places: Default::default(),
             },
             surface_m: 0.0,
             c0: f64::NAN,

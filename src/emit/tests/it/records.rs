@@ -440,6 +440,7 @@ fn a_new_profile_is_sent_with_its_first_ping_and_described_from_then_on() {
             array_m: DVec3::ZERO,
             floor_m: 50.0,
             reflections: None,
+            places: Default::default(),
         });
         let sent = [(); 2].map(|()| {
             let mut records = Vec::new();

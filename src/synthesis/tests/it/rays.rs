@@ -9,7 +9,7 @@ use num_complex::Complex64;
 use echotank_core::ping::Refraction;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::sound_speed::SoundSpeedProfile;
-use echotank_synthesis::echo::rays::{VirtualPoints, ray, seen, virtual_point_error};
+use echotank_synthesis::echo::rays::{VirtualPoints, place_error, ray, seen, virtual_point_error};
 use echotank_testing::echo::*;
 
 const REFERENCE: &str = include_str!("../../../../tests/data/rays/reference.csv");
@@ -42,6 +42,7 @@ pub(crate) fn water(profile: &Arc<SoundSpeedProfile>, array_m: DVec3) -> Refract
         array_m,
         floor_m: SoundSpeedProfile::MAX_DEPTH_M,
         reflections: None,
+        places: Default::default(),
     }
 }
 
@@ -351,4 +352,77 @@ fn element_samples_through_virtual_points_keep_their_bound() {
             "{error:.2e} {bound:.2e}"
         );
     }
+}
+
+/// Delays at elements beside the array through sharp thermoclines, to scatterers at all depths, by rays of their own: up, down and with a turn. The error of
+/// each place is what is predicted for it.
+#[test]
+fn elements_keep_the_predicted_error_of_each_place_up_down_and_by_turns() {
+    let carrier_hz = 400e3;
+    let step = |top_m: f64, bottom_m: f64, rise: f64| {
+        let points = [(0.0, 0.0), (top_m, 0.0), (bottom_m, rise), (100.0, rise)];
+        let points = points.map(|(z, more)| (z, 1500.0 + more));
+        Arc::new(SoundSpeedProfile::new(points.to_vec()).expect("sound"))
+    };
+    let mut turns = 0;
+    for (name, profile) in [
+        ("nine layers", layered()),
+        ("-15 m/s from 6 to 7 m", step(6.0, 7.0, -15.0)),
+        ("-25 m/s from 6 to 6.5 m", step(6.0, 6.5, -25.0)),
+        ("+15 m/s from 6 to 7 m", step(6.0, 7.0, 15.0)),
+        ("-20 m/s from 1 to 3 m", step(1.0, 3.0, -20.0)),
+        ("+20 m/s from 1 to 3 m", step(1.0, 3.0, 20.0)),
+        ("+1 /s", linear(1500.0, 1.0, 100.0)),
+    ] {
+        let array_m = DVec3::new(0.0, 0.0, 2.0);
+        let mut water = water(&profile, array_m);
+        water.floor_m = 22.0;
+        let c0 = water.sound_speed_m_per_s();
+        let (mut worst, mut worst_ratio, mut seabed) = (0.0f64, 0.0f64, 0.0f64);
+        for depth_m in [0.3, 1.0, 2.5, 4.0, 6.2, 7.1, 8.0, 10.0, 15.0, 22.0] {
+            for offset_m in [
+                DVec3::new(0.24, 0.0, 0.0),
+                DVec3::new(0.0, 0.24, 0.0),
+                DVec3::new(-0.1, 0.15, 0.02),
+            ] {
+                let offsets_m = (offset_m.truncate().length(), offset_m.z.abs());
+                for k in 0..240 {
+                    let range_m = 2.5 + 0.6 * f64::from(k);
+                    let at_m = DVec3::new(range_m, 0.0, depth_m);
+                    let Some(seen) = seen(&water, 0.0, at_m) else {
+                        continue;
+                    };
+                    let element_m = array_m + offset_m;
+                    let beside_m = (at_m - element_m).truncate().length();
+                    let own = ray(&profile, element_m.z, depth_m, beside_m, water.floor_m);
+                    let Some(own) = own else { continue };
+                    let seen_s = seen.position_m.distance(element_m) / c0;
+                    let error = TAU * carrier_hz * (own.time_s - seen_s).abs();
+                    let predicted = place_error(&water, carrier_hz, offsets_m, at_m);
+                    // Of second order in the offset; near a caustic, which the prediction shows, neighbours have other rays.
+                    if predicted > 0.3 {
+                        continue;
+                    }
+                    let here = ray(&profile, array_m.z, depth_m, range_m, water.floor_m);
+                    turns += usize::from(here.is_some_and(|r| r.start.down * r.end.down < 0.0));
+                    worst = worst.max(error);
+                    if error > 1e-4 {
+                        worst_ratio = worst_ratio.max(error / predicted);
+                    }
+                    assert!(
+                        error <= 1.2 * predicted + 1e-5,
+                        "{name}, {at_m} from {offset_m}: {error:.2e}, predicted {predicted:.2e}"
+                    );
+                }
+                if depth_m == 22.0 {
+                    seabed =
+                        seabed.max(virtual_point_error(&water, carrier_hz, offsets_m, depth_m));
+                }
+            }
+        }
+        println!(
+            "{name}: largest error {worst:.2e}, bound at the seabed {seabed:.2e}; at most {worst_ratio:.3} of the prediction of its place"
+        );
+    }
+    assert!(turns > 100, "{turns}");
 }
