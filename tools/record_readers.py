@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Opens recordings with third-party readers (tools/requirements.txt) and prints the number of pings in each, as one JSON object.
 
-    .venv/bin/python tools/record_readers.py FILE...
+    .venv/bin/python tools/record_readers.py [--sevenk] FILE...
 
 pyjsf for .jsf, pyxtf for .xtf, brping for .svlog, sigmf for .sigmf-meta, libsndfile for .wav, mcap with mcap-ros2-support for .mcap, json for .jsonl (.s7k
-has tools/sevenk_reader.py). A file that its reader cannot read completely is an error.
+has tools/sevenk_reader.py; with --sevenk, pyread7k reads it, which is on GitHub only: where it is missing, tools/sevenk_reader.py). A file that its reader
+cannot read completely is an error.
 """
 
 import json
@@ -17,6 +18,16 @@ def jsf(path):
     from pyjsf.jsf_io import jsf_read
     numbers = [m[1].ping_number for m in jsf_read(path) if m[0].message_type == 80]
     return {"pings": len(set(numbers)), "messages": len(numbers)}
+
+
+def sevenk(path):
+    try:
+        import pyread7k
+    except ModuleNotFoundError:
+        import sevenk_reader
+        return {"pings": sevenk_reader.read_file(path, sevenk_reader.Findings())["pings"], "reader": "sevenk_reader"}
+    pings = [ping.sonar_settings.ping_number for ping in pyread7k.S7KFileReader(path).iter_pings()]
+    return {"pings": len(set(pings)), "reader": "pyread7k"}
 
 
 def xtf(path):
@@ -89,7 +100,11 @@ READERS = {".jsf": jsf, ".xtf": xtf, ".svlog": svlog, ".sigmf-meta": sigmf, ".wa
 def main():
     warnings.simplefilter("ignore")
     held = {}
-    for path in sys.argv[1:]:
+    arguments = sys.argv[1:]
+    if "--sevenk" in arguments:
+        arguments.remove("--sevenk")
+        READERS[".s7k"] = sevenk
+    for path in arguments:
         ending = os.path.splitext(path)[1]
         if ending in READERS:
             try:
