@@ -3,7 +3,8 @@
 //! - Each live source is an interface of the file, with the source's name as `if_name`. Received bytes are UDP datagrams in raw IP, so
 //!   other programs read them as well. Their time is the arrival in rig time.
 //! - The interface [`ORDERS`] holds the start of the run and every ping as text: `ping sonar=0 number=12 utc_ns=…`. An entry precedes
-//!   a ping in the file exactly if the ping used it, so a replay computes each ping from the same samples.
+//!   a ping in the file exactly if the ping used it, so a replay computes each ping from the same samples. `skipped` in place of `ping`
+//!   marks a ping that was not made, whose motion the method selection has seen.
 //!
 //! The section's `shb_userappl` option is [`APPLICATION`]. Source of the format: IETF draft-tuexen-opsawg-pcapng.
 
@@ -35,6 +36,8 @@ pub enum Entry {
     Start(RecordedStart),
     /// A ping, computed from the entries before it.
     Ping(RecordedPing),
+    /// A ping that was not made. The method selection has seen its motion, from the entries before it.
+    Skipped(RecordedPing),
 }
 
 /// Start of the schedules of a run.
@@ -210,10 +213,14 @@ impl RecordingWriter {
                 );
                 packet(self.ports.len(), start.first_utc, text.as_bytes(), out);
             }
-            Entry::Ping(ping) => {
+            Entry::Ping(ping) | Entry::Skipped(ping) => {
+                let what = match entry {
+                    Entry::Ping(_) => "ping",
+                    _ => "skipped",
+                };
                 let s = &ping.settings;
                 let text = format!(
-                    "ping sonar={} number={} utc_ns={} period_s={} range_m={} max_ping_rate_hz={} source_level_db={} gain_db={} \
+                    "{what} sonar={} number={} utc_ns={} period_s={} range_m={} max_ping_rate_hz={} source_level_db={} gain_db={} \
                      pulse_duration_s={} known_utc_ns={} level={}",
                     ping.sonar,
                     ping.number,
@@ -242,30 +249,36 @@ fn value<T: std::str::FromStr>(text: &str, key: &str) -> Option<T> {
 
 fn parse_order(text: &str) -> Option<Entry> {
     let utc = |key| value(text, key).map(UtcNs);
-    let number = |key| value::<f64>(text, key).filter(|v| v.is_finite());
     match text.split_ascii_whitespace().next()? {
         "start" => Some(Entry::Start(RecordedStart {
             first_utc: utc("first_utc_ns")?,
             known_utc: utc("known_utc_ns")?,
         })),
-        "ping" => Some(Entry::Ping(RecordedPing {
-            sonar: value(text, "sonar")?,
-            number: value(text, "number")?,
-            transmit_utc: utc("utc_ns")?,
-            period_s: number("period_s")?,
-            settings: SonarSettings {
-                pinging: true,
-                range_m: number("range_m")?,
-                max_ping_rate_hz: number("max_ping_rate_hz")?,
-                source_level_db: number("source_level_db")?,
-                gain_db: number("gain_db")?,
-                pulse_duration_s: number("pulse_duration_s")?,
-            },
-            known_utc: utc("known_utc_ns")?,
-            level: value(text, "level")?,
-        })),
+        "ping" => parse_ping(text).map(Entry::Ping),
+        "skipped" => parse_ping(text).map(Entry::Skipped),
         _ => None,
     }
+}
+
+fn parse_ping(text: &str) -> Option<RecordedPing> {
+    let utc = |key| value(text, key).map(UtcNs);
+    let number = |key| value::<f64>(text, key).filter(|v| v.is_finite());
+    Some(RecordedPing {
+        sonar: value(text, "sonar")?,
+        number: value(text, "number")?,
+        transmit_utc: utc("utc_ns")?,
+        period_s: number("period_s")?,
+        settings: SonarSettings {
+            pinging: true,
+            range_m: number("range_m")?,
+            max_ping_rate_hz: number("max_ping_rate_hz")?,
+            source_level_db: number("source_level_db")?,
+            gain_db: number("gain_db")?,
+            pulse_duration_s: number("pulse_duration_s")?,
+        },
+        known_utc: utc("known_utc_ns")?,
+        level: value(text, "level")?,
+    })
 }
 
 /// Appends a block with the content that `fill` writes.
@@ -367,6 +380,22 @@ mod tests {
                 level: 2,
             }),
             bytes(0, 3, &[]),
+            Entry::Skipped(RecordedPing {
+                sonar: 0,
+                number: 8,
+                transmit_utc: UtcNs(1_700_000_001_100_000_000),
+                period_s: 0.1,
+                settings: SonarSettings {
+                    pinging: true,
+                    range_m: 30.0,
+                    max_ping_rate_hz: 10.0,
+                    source_level_db: 200.0,
+                    gain_db: 0.0,
+                    pulse_duration_s: 1e-3,
+                },
+                known_utc: UtcNs(1_700_000_000_500_000_001),
+                level: 0,
+            }),
         ]
     }
 
@@ -402,7 +431,7 @@ mod tests {
     fn other_readers_find_the_datagrams_and_pass_over_the_orders() {
         let file = written(&entries());
         let found: Vec<_> = packets(&file).map(|p| (p.port, p.payload)).collect();
-        assert_eq!(found.len(), 6);
+        assert_eq!(found.len(), 7);
         assert_eq!(found[0], (10_110, Some(&b"$GPGGA"[..])));
         assert_eq!((found[2].1, found[4].1), (None, None));
     }

@@ -46,7 +46,16 @@ pub fn make_degraded_ping(
 ) -> Result<(), NavGap> {
     let tolerance = rig.sonars[sonar].swap(level);
     let made = make_ping(rig, sonar, order, mode, host_utc, slot);
-    rig.sonars[sonar].swap(level);
+    let unit = &mut rig.sonars[sonar];
+    unit.swap(level);
+    if level > 0
+        && made.is_ok()
+        && let Some(method_selector) = &mut unit.method_selector
+    {
+        // Later pings with the configured tolerance have the same methods as if this one had it.
+        method_selector.before_ping(order.ping_number, &mut unit.pipeline);
+        method_selector.after_ping(&slot.plan, &rig.scatterers, None);
+    }
     slot.output.overload_state = OverloadState {
         tolerance,
         put_off_s: 0.0,

@@ -378,6 +378,7 @@ impl Daemon {
             backlog,
             has_rested: true,
             skipped: vec![false; self.settings.len()],
+            unexamined: vec![VecDeque::with_capacity(MAX_ORDERS); self.settings.len()],
             first_ready: None,
             first: None,
             triggers: Some(self.triggers),

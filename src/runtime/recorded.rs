@@ -56,6 +56,8 @@ pub struct RecordedRig {
     follows: Vec<bool>,
     /// Per sonar: pings in long gaps of the navigation, which have no number.
     pub(crate) passed_over: Vec<u64>,
+    /// Per sonar: of pings that a recorded run skipped.
+    examined: Vec<Option<PingSlot>>,
     /// Per sonar: settings of the next ping. A recorded run has settings of its own.
     pub(crate) settings: Vec<SonarSettings>,
     /// Missing, ignored or replaced parts of the navigation, one line each.
@@ -115,6 +117,7 @@ impl RecordedRig {
             first,
             follows: triggers.map(follows).collect(),
             passed_over: vec![0; spec.sonars.len()],
+            examined: spec.sonars.iter().map(|_| None).collect(),
             settings: spec.sonars.iter().map(|sonar| sonar.settings).collect(),
             nav_warnings,
             rig,
@@ -186,16 +189,31 @@ impl RecordedRig {
     /// The next ping of the recorded run with a number up to `last`.
     fn next_played(&mut self, last: u32) -> Option<(usize, PingOrder)> {
         loop {
-            if let Mark::Ping(ping) = self.inputs.play(&mut self.rig.history)?
-                && ping.number <= last
-            {
-                let order = PingOrder {
+            let mark = self.inputs.play(&mut self.rig.history)?;
+            let (Mark::Ping(ping) | Mark::Skipped(ping)) = mark else {
+                continue;
+            };
+            if ping.number > last {
+                continue;
+            }
+            let (sonar, order) = (
+                ping.sonar,
+                PingOrder {
                     ping_number: ping.number,
                     transmit_utc: ping.transmit_utc,
                     settings: ping.settings,
                     period_s: ping.period_s,
-                };
-                return Some((ping.sonar, order));
+                },
+            );
+            if let Mark::Ping(_) = mark {
+                return Some((sonar, order));
+            }
+            // The run made no such ping, but its later selections depend on it.
+            let mode = self.rig.spec.nav.mode;
+            let rig = &mut self.rig;
+            if let Some(slot) = self.examined.get_mut(sonar) {
+                let slot = slot.get_or_insert_with(|| rig.slot(sonar));
+                let _gap = rig.examine(sonar, &order, mode, slot);
             }
         }
     }

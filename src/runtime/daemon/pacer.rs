@@ -13,6 +13,7 @@ use echotank_core::ping::OverloadState;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
 use echotank_nav::detection::owners_text;
 use echotank_nav::{Coverage, NavGap};
+use echotank_ping::method_selection::live::is_examined_before;
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::{PingOrder, finish_ping, make_degraded_ping, make_ping};
 
@@ -108,6 +109,8 @@ pub(super) struct Pacer {
     pub(super) triggers: Option<Triggers>,
     /// Orders sorted by transmit time.
     pub(super) waiting: VecDeque<Waiting>,
+    /// Orders whose pings were skipped and whose motion the method selection has not seen yet, by sonar.
+    pub(super) unexamined: Vec<VecDeque<PingOrder>>,
     pub(super) lanes: Vec<Lane>,
     /// Read also by the servers, to stamp their answers.
     pub(super) timeline: Arc<OnceLock<Timeline>>,
@@ -162,8 +165,11 @@ impl Pacer {
                 Some(front) => match self.decide(&front, now) {
                     Decision::Wait(until) => until,
                     decided => {
-                        if let Decision::Make(paced, slot) = decided {
-                            self.ping_in_time(&front, now, paced, slot, &timeline);
+                        match decided {
+                            Decision::Make(paced, slot) => {
+                                self.ping_in_time(&front, now, paced, slot, &timeline);
+                            }
+                            _ => self.note_unexamined(front.sonar, front.order),
                         }
                         self.waiting.pop_front();
                         self.backlog.done(front.sonar);
@@ -370,6 +376,7 @@ impl Pacer {
                 self.backlog.done(sonar);
                 add(&self.counters(sonar).skipped_queue, 1);
                 self.note_overload(SKIPPED, sonar, &order, OverloadState::NONE);
+                self.note_unexamined(sonar, order);
                 continue;
             }
             let window_s = self.rig.window_s(sonar, &order);
@@ -426,10 +433,9 @@ impl Pacer {
     ) -> bool {
         let began = self.machine.mono();
         let level = paced.map_or(0, |paced| paced.level);
+        self.examine_skipped(sonar, order, &mut slot, timeline);
         self.inputs.note_ping(sonar, order, level);
-        if let Some(profile) = self.control.profile_at(timeline.mono(order.transmit_utc)) {
-            self.rig.set_profile(profile);
-        }
+        self.take_profile(order, timeline);
         let made = self.make(sonar, order, paced, &mut slot, timeline);
         let Some(samples) = self.account(sonar, order, paced, made, began, &mut slot) else {
             self.lanes[sonar].spare = Some(slot);
@@ -437,6 +443,46 @@ impl Pacer {
         };
         self.hand_over(sonar, paced, slot, samples);
         true
+    }
+
+    /// Takes the sound speed profile in force at the pulse.
+    fn take_profile(&mut self, order: &PingOrder, timeline: &Timeline) {
+        if let Some(profile) = self.control.profile_at(timeline.mono(order.transmit_utc)) {
+            self.rig.set_profile(profile);
+        }
+    }
+
+    /// Remembers an order that is skipped. Later selections depend on its motion, as if it had been made.
+    fn note_unexamined(&mut self, sonar: usize, order: PingOrder) {
+        let skipped = &mut self.unexamined[sonar];
+        if skipped.len() < MAX_ORDERS {
+            // Orders that find the queue full are skipped before older ones.
+            let place = skipped.partition_point(|o| o.transmit_utc <= order.transmit_utc);
+            skipped.insert(place, order);
+        }
+    }
+
+    /// Lets the method selection see the motion of the pings that were skipped before `order`, whose navigation has arrived by now. In a gap of the
+    /// navigation there is nothing to see.
+    fn examine_skipped(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        slot: &mut PingSlot,
+        timeline: &Timeline,
+    ) {
+        let mode = self.rig.spec.nav.mode;
+        let c = self.rig.medium().sound_speed_m_per_s;
+        let first = order.ping_number;
+        let is_before = |skipped: &&PingOrder| skipped.ping_number < first;
+        while let Some(skipped) = self.unexamined[sonar].front().filter(is_before).copied() {
+            self.unexamined[sonar].pop_front();
+            if is_examined_before(first, &skipped, c) {
+                self.inputs.note_skipped(sonar, &skipped);
+                self.take_profile(&skipped, timeline);
+                let _gap = self.rig.examine(sonar, &skipped, mode, slot);
+            }
+        }
     }
 
     /// Decides whether the ping at the front is made now, and at which degradation level. A ping needs its navigation, a free slot and enough time.

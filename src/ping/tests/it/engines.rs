@@ -13,6 +13,7 @@ use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
 use echotank_ping::threads::pool;
 use echotank_runtime::config_files::{load, parse};
+use echotank_runtime::recorded::RecordedRig;
 use echotank_testing::pings::{LoggedPings, plan_on};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -816,6 +817,43 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
             );
             assert_eq!(got.counts.beyond_engine, 0, "{file}");
         }
+    }
+}
+
+/// Every ping along a ship's log, and every third one with the others only examined, as if they had been skipped: the same selections and samples.
+#[test]
+fn skipped_pings_do_not_change_the_selections_of_later_pings() {
+    let spec = thinned("certified.toml", |sonar| {
+        sonar.synthesis.error_check = false;
+        sonar.settings.max_ping_rate_hz = 1.0;
+    });
+    let pings = |every: u32| {
+        let mut recorded = RecordedRig::open(&spec).expect("a log");
+        let mut slot = recorded.rig.slot(0);
+        let mode = recorded.rig.spec.nav.mode;
+        let mut all = Vec::new();
+        while let Some((sonar, order)) = recorded.next_order(14) {
+            assert!(recorded.settle(sonar, &order));
+            let rig = &mut recorded.rig;
+            if order.ping_number % every != 0 {
+                rig.examine(sonar, &order, mode, &mut slot).expect("no gap");
+                continue;
+            }
+            let utc = order.transmit_utc;
+            echotank_ping::make_ping(rig, sonar, &order, mode, utc, &mut slot).expect("no gap");
+            let mark = slot.output.methods.expect("selected methods");
+            all.push((order.ping_number, mark, slot.output.elements[0].iq.clone()));
+        }
+        all
+    };
+    let (all, some) = (pings(1), pings(3));
+    assert_eq!((all.len(), some.len()), (14, 4));
+    let blocks: Vec<u32> = all.iter().map(|(_, mark, _)| mark.plan).collect();
+    assert!(blocks[0] < blocks[13], "one selection: {blocks:?}");
+    for (number, mark, iq) in some {
+        let (_, want, samples) = &all[number as usize - 1];
+        assert_eq!(mark, *want, "ping {number}");
+        assert!(iq == *samples, "ping {number}");
     }
 }
 

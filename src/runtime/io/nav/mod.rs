@@ -390,9 +390,24 @@ impl NavInputs {
 
     /// Records a ping that is about to be computed, at this degradation level.
     pub(crate) fn note_ping(&mut self, sonar: usize, order: &PingOrder, level: usize) {
+        self.note_order(sonar, order, level, Entry::Ping);
+    }
+
+    /// Records a skipped ping whose motion the method selection is about to see.
+    pub(crate) fn note_skipped(&mut self, sonar: usize, order: &PingOrder) {
+        self.note_order(sonar, order, 0, Entry::Skipped);
+    }
+
+    fn note_order(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        level: usize,
+        entry: fn(RecordedPing) -> Entry,
+    ) {
         let known_utc = self.known_utc;
         if let Some(recorder) = &mut self.recorder {
-            recorder.note(Entry::Ping(RecordedPing {
+            recorder.note(entry(RecordedPing {
                 sonar,
                 number: order.ping_number,
                 transmit_utc: order.transmit_utc,

@@ -13,6 +13,7 @@ use echotank_nav::recording::{Entry, NavRecording, RecordedPing, RecordedStart};
 pub(crate) enum Mark {
     Start(RecordedStart),
     Ping(RecordedPing),
+    Skipped(RecordedPing),
 }
 
 impl Mark {
@@ -21,13 +22,14 @@ impl Mark {
             Entry::Bytes { .. } => None,
             Entry::Start(start) => Some(Self::Start(*start)),
             Entry::Ping(ping) => Some(Self::Ping(*ping)),
+            Entry::Skipped(ping) => Some(Self::Skipped(*ping)),
         }
     }
 
     pub(super) fn known_utc(&self) -> echotank_core::time::UtcNs {
         match self {
             Self::Start(start) => start.known_utc,
-            Self::Ping(ping) => ping.known_utc,
+            Self::Ping(ping) | Self::Skipped(ping) => ping.known_utc,
         }
     }
 }
