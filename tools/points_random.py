@@ -290,7 +290,7 @@ def compare(echotank, rig_path, changes=(), pings=PINGS, out=None):
             if promised is None:
                 promised = promise_of_check(echotank, rig_path, changes)
             rows.append({"ping": number, "engine": model["synthesis"], "path": model["path"], "doppler": model["doppler"],
-                         "segment_s": model["segment_s"], "cull_db": model["cull_db"], "promised": promised, "parts": methods.get("predicted_parts"), "measured": error,
+                         "segment_s": model["segment_s"], "cull_db": model["cull_db"], "promised": promised, "measured": error,
                          "element": compared[row], "sample": offset, "marks": list(marks)})
         return rows
 
@@ -318,12 +318,6 @@ def judge(row, asked):
         broken.append("silent")
     row["broken"] = broken
     return row
-
-
-def largest_part(row):
-    """Name and value of the largest part of a promise."""
-    parts = row.get("parts") or {}
-    return max(parts.items(), key=lambda part: part[1]) if parts else ("", math.nan)
 
 
 def ratio_of(row):
@@ -377,10 +371,10 @@ def summary(rows, out=print):
                 made[name]["median_promised_over_measured"], made[name]["median_asked_over_measured"]))
     far = sorted((row for row in answers if (ratio_of(row) or 0) > NEAR), key=lambda row: -ratio_of(row))
     if far:
-        out("promises above %d times the measured error, with their largest part:" % NEAR)
+        out("promises above %d times the measured error:" % NEAR)
     for row in far[:LISTED]:
-        out("%-8s ping %d  %-13s %6.1f times %.1e, largest %s %.1e of %.1e | %s" % (
-            row["rig"], row["ping"], row["engine"], ratio_of(row), row["measured"], *largest_part(row), row["promised"], row["note"]))
+        out("%-8s ping %d  %-13s %6.1f times %.1e, promised %.1e | %s" % (
+            row["rig"], row["ping"], row["engine"], ratio_of(row), row["measured"], row["promised"], row["note"]))
     return made
 
 
