@@ -28,7 +28,7 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::engines::{EngineRefusal, Engines, MIN_DENSITY, engine_filter};
+use crate::engines::{EngineRefusal, Engines, MIN_DENSITY};
 use crate::line_engines::LineEngines;
 use crate::plan;
 
@@ -593,19 +593,12 @@ pub(crate) fn receiver_filter(
     spec: &SonarSpec,
     medium: &MediumSpec,
 ) -> Result<Option<Decimator>, FilterError> {
-    if spec.receiver.filter == ReceiverFilter::None {
-        return Ok(None);
-    }
-    if spec.model.synthesis.keeps_tolerance() {
-        let rate_hz = spec.receiver.sample_rate_hz;
-        let doppler_hz = doppler_hz(spec, medium.sound_speed_m_per_s);
-        return engine_filter(&shortest_pulse(spec), rate_hz, doppler_hz).map(Some);
-    }
-    let design = filter_design(spec, spec.model.synthesis, medium.sound_speed_m_per_s);
+    let c = medium.sound_speed_m_per_s;
+    let design = receiver_filter_design(spec, spec.model.synthesis, c);
     design.map(|design| design.decimator()).transpose()
 }
 
-/// What the receiver filter of a method is designed for, none where no filter is configured: as [`receiver_filter`] makes it.
+/// What the receiver filter of a method is designed for, none where no filter is configured.
 pub(crate) fn receiver_filter_design(
     spec: &SonarSpec,
     synthesis: Synthesis,

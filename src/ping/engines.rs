@@ -18,7 +18,7 @@ use echotank_core::ping::PingPlan;
 use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
 use echotank_core::simd::SimdLevel;
-use echotank_synthesis::array::filter::{self, Decimator, FilterError};
+use echotank_synthesis::array::filter::Decimator;
 use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, one_dimensional};
 use echotank_synthesis::array::lines::{self, GriddedLines};
 use echotank_synthesis::error_model::ErrorModel;
@@ -126,16 +126,6 @@ pub(crate) struct Engines {
     /// The latest used first.
     kept: Vec<(Key, PulseEngines)>,
     pending: Vec<(Key, JoinHandle<Result<PulseEngines, EngineRefusal>>)>,
-}
-
-/// The receiver filter as the engines want it.
-pub(crate) fn engine_filter(
-    pulse: &Pulse,
-    sample_rate_hz: f64,
-    doppler_hz: f64,
-) -> Result<Decimator, FilterError> {
-    let dense = filter::oversample(pulse, sample_rate_hz, Synthesis::Gridded1d);
-    Decimator::new(pulse, sample_rate_hz, doppler_hz, dense.max(MIN_DENSITY))
 }
 
 impl Engines {

@@ -31,7 +31,7 @@ const SAMPLED: f64 = 1.1;
 
 /// The same where echoes overlap, whose energy is not that of Gaussian samples: with [`SAMPLED`] alone, 2 of 81 rigs of `tools/points_random.py`
 /// were 2 % above the prediction.
-const OVERLAPPING: f64 = 1.3;
+pub(super) const OVERLAPPING: f64 = 1.3;
 
 /// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
 const PARTS: usize = 4;

@@ -10,6 +10,7 @@
 
 use crate::conditions::sound_speed_of_design;
 use crate::element_synthesis::receiver_filter_design;
+use crate::method_selection::echo_statistics::OVERLAPPING;
 use crate::method_selection::fades;
 use crate::method_selection::walked::{direct_runs, flank_points};
 use crate::work::{Figure, Work};
@@ -32,8 +33,6 @@ const BINS: usize = 256;
 const OFFSETS: f64 = 4.0;
 /// Share of the energy of a window from which its strongest echo counts as alone.
 const ALONE: f64 = 0.999;
-/// What the sample of the scatterers and of the elements may leave out where echoes overlap, as for echoes at rest.
-const OVERLAPPING: f64 = 1.3;
 /// Cost of the three instants at an element, and of the transmit leg with the poses around the echo, in solutions on the exact trajectory: measured.
 const SOLUTIONS_OF_PAIR: f64 = 2.5;
 const SOLUTIONS_OF_HIT: f64 = 6.0;

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use echotank_config::spec::RigSpec;
+use echotank_config::spec::{RigSpec, SonarSpec};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{MovingScatterer, Scatterers};
 use echotank_ping::make_ping;
@@ -595,6 +595,32 @@ fn the_surface_scatters_at_its_strength_from_its_depth_on_and_decorrelates() {
     }
 }
 
+/// Doppler, delay and intensity of the echoes of moving scatterers at the first element.
+fn dopplers(sonar: &SonarSpec, plan: &PingPlan, moving: &[MovingScatterer]) -> Vec<[f64; 3]> {
+    let mut echoes = MovingEchoes::default();
+    echoes.prepare(plan, &sonar.transmit, &sonar.receive, moving, 0.0);
+    let mut dopplers = Dopplers::default();
+    echoes.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
+    dopplers.echoes
+}
+
+/// A sea surface above deep water, seen without patterns at 100 kHz; `more`: keys of [medium.surface].
+fn waving(folder: &Path, wind_m_per_s: f64, more: &str) -> RigSpec {
+    let medium = format!(
+        "wind_m_per_s = {wind_m_per_s}\n[medium.surface]\nscattering = true\nwaves = true\n{more}"
+    );
+    let setup = Setup {
+        khz: 100.0,
+        range_m: 12.0,
+        medium: &medium,
+        scene: &plane(60.0, "density_per_m2 = 4.0"),
+        model: DIRECT,
+        patterns: OMNI,
+        speed: 0.0,
+    };
+    rig(folder, &setup)
+}
+
 /// Doppler of the echoes of one ping, with their delays and intensities.
 #[derive(Default)]
 struct Dopplers {
@@ -623,43 +649,28 @@ fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
     const PINGS: u32 = 390;
     const WIND: f64 = 4.0;
     let folder = tempfile::tempdir().expect("a folder");
-    let setup = Setup {
-        khz: 100.0,
-        range_m: 12.0,
-        medium: &format!(
-            "wind_m_per_s = {WIND}\n[medium.surface]\nscattering = true\nwaves = true"
-        ),
-        scene: &plane(60.0, "density_per_m2 = 4.0"),
-        model: DIRECT,
-        patterns: OMNI,
-        speed: 0.0,
-    };
-    let spec = rig(folder.path(), &setup);
+    let spec = waving(folder.path(), WIND, "");
     let m2 = vertical_variance(WIND);
     let (mut sum, mut weight, mut apart) = (0.0, 0.0, Vec::new());
     let mut ping = 0;
     gather_pings(&spec, PINGS, |plan, all| {
         let sonar = &spec.sonars[0];
-        let mut moving = MovingEchoes::default();
-        let scatterers = &all.moving;
-        moving.prepare(plan, &sonar.transmit, &sonar.receive, scatterers, 0.0);
-        let mut dopplers = Dopplers::default();
-        moving.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
-        assert!(dopplers.echoes.len() > 100);
+        let echoes = dopplers(sonar, plan, &all.moving);
+        assert!(echoes.len() > 100);
         // Radial velocity over its predicted deviation.
         let of = |[doppler, delay_s, _]: [f64; 3]| {
             let sine = SONAR_M / (0.5 * C * delay_s);
             let variance = m2 * (sine * sine + 0.5 * (1.0 - sine * sine));
             0.5 * C * doppler / variance.sqrt()
         };
-        for echo in &dopplers.echoes {
+        for echo in &echoes {
             sum += of(*echo).powi(2) * echo[2];
             weight += echo[2];
         }
         // Every two seconds one echo, of another place.
         if ping % 4 == 0 {
-            let k = (ping as usize * 7919) % dopplers.echoes.len();
-            apart.push(of(dopplers.echoes[k]));
+            let k = (ping as usize * 7919) % echoes.len();
+            apart.push(of(echoes[k]));
         }
         ping += 1;
     });
@@ -676,29 +687,15 @@ fn waves_spread_the_doppler_of_the_surface_by_their_orbital_velocity() {
 fn the_doppler_of_the_surface_depends_on_the_direction_of_look() {
     const WIND: f64 = 4.0;
     let folder = tempfile::tempdir().expect("a folder");
-    let setup = Setup {
-        khz: 100.0,
-        range_m: 12.0,
-        medium: &format!(
-            "wind_m_per_s = {WIND}\n[medium.surface]\nscattering = true\nwaves = true\nwind_from_deg = 200.0"
-        ),
-        scene: &plane(60.0, "density_per_m2 = 4.0"),
-        model: DIRECT,
-        patterns: OMNI,
-        speed: 0.0,
-    };
-    let spec = rig(folder.path(), &setup);
+    let spec = waving(folder.path(), WIND, "wind_from_deg = 200.0");
     let m2 = vertical_variance(WIND);
     // Towards 20 degrees.
     let with_wind = DVec3::new(20f64.to_radians().cos(), 20f64.to_radians().sin(), 0.0);
     let mut sums = [[0.0; 5]; 4];
     gather_pings(&spec, 390, |plan, all| {
         let sonar = &spec.sonars[0];
-        let mut moving = MovingEchoes::default();
-        moving.prepare(plan, &sonar.transmit, &sonar.receive, &all.moving, 0.0);
-        let mut dopplers = Dopplers::default();
-        moving.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
-        for ([doppler, _, intensity], s) in dopplers.echoes.iter().zip(&all.moving) {
+        let echoes = dopplers(sonar, plan, &all.moving);
+        for ([doppler, _, intensity], s) in echoes.iter().zip(&all.moving) {
             let ray =
                 (s.position_m + s.velocity_m_per_s * s.hit_s - DVec3::Z * SONAR_M).normalize();
             let level = ray.truncate().normalize();
@@ -845,13 +842,7 @@ fn waves_spread_the_doppler_of_reflections_by_their_vertical_velocity() {
     long.sonars[0].settings.pulse_duration_s = 0.01;
     let sonar = &long.sonars[0];
     let m2 = vertical_variance(WIND);
-    let echoes = |plan: &PingPlan, list: &[MovingScatterer]| {
-        let mut moving = MovingEchoes::default();
-        moving.prepare(plan, &sonar.transmit, &sonar.receive, list, 0.0);
-        let mut dopplers = Dopplers::default();
-        moving.arrivals(plan, (0, &sonar.receive[0]), 0, &mut dopplers);
-        dopplers.echoes
-    };
+    let echoes = |plan: &PingPlan, list: &[MovingScatterer]| dopplers(sonar, plan, list);
     // In a part of both windows.
     let inside = |echoes: &[[f64; 3]]| {
         let some = echoes.iter().filter(|echo| 0.5 * C * echo[1] < 12.5);
