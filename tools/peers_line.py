@@ -19,13 +19,17 @@ ELEMENTS = 256
 
 
 def ours(bench, scatterers):
-    """(threads -> [best ms, worst windowed error, predicted error]) of our line engine's pings."""
-    with tempfile.NamedTemporaryFile(suffix=".json") as file:
-        only = f"grid {ELEMENTS} {scatterers} "
-        command = [bench, "echo", "--only", only, "--method", "gridded-2d", "--threads", "1,2", "--json", file.name]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        rows = json.load(file)["rows"]
-    return {row["threads"]: (row["ms_best"], row["error_worst_window"], row["says"]) for row in rows}
+    """(threads -> [best ms, worst windowed error, what it says]) of the faster one of our array engines."""
+    found = {}
+    for method in ("gridded-2d", "gridded-lines"):
+        with tempfile.NamedTemporaryFile(suffix=".json") as file:
+            only = f"grid {ELEMENTS} {scatterers} "
+            command = [bench, "echo", "--only", only, "--method", method, "--threads", "1,2", "--json", file.name]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            for row in json.load(file)["rows"]:
+                answer = (row["ms_best"], row["error_worst_window"], f"{method}: {row['says']}")
+                found[row["threads"]] = min(found.get(row["threads"], answer), answer)
+    return found
 
 
 def main():
@@ -65,7 +69,7 @@ def main():
         ms, error, says = min(before[threads], after[threads])
         print(
             f"    ours, {threads} threads: error {error:.1e} in the worst window looked at, {ms:8.1f} ms a ping, "
-            f"ratio {theirs[threads] / ms:.1f} (wanted 30); {says}; {load()}"
+            f"ratio {theirs[threads] / ms:.1f}; {says}; {load()}"
         )
 
 

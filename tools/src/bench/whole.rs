@@ -170,7 +170,7 @@ const fn fan(scatterers: usize, bandwidth_hz: f64, tolerance: f64) -> Ping {
 const WIDE_HZ: f64 = 80e3;
 
 /// All numbers of elements and scatterers while moving, then the effect of sector, speed and tolerance, then the real-time target.
-pub(crate) const PINGS: [Ping; 45] = [
+pub(crate) const PINGS: [Ping; 46] = [
     ping("paper", 5, 42_936, 15.0, STILL, 1e-3),
     ping("paper", 5, 42_936, 15.0, SEAWAY, 1e-3),
     ping("paper", 5, 42_936, 15.0, FAST, 1e-3),
@@ -179,6 +179,7 @@ pub(crate) const PINGS: [Ping; 45] = [
     ping("grid", 32, 42_936, 15.0, SEAWAY, 1e-3),
     ping("grid", 128, 42_936, 15.0, SEAWAY, 1e-3),
     ping("grid", 256, 42_936, 15.0, SEAWAY, 1e-3),
+    ping("grid", 256, 100_000, 15.0, SEAWAY, 1e-3),
     ping("grid", 1, 1_000_000, 15.0, SEAWAY, 1e-3),
     ping("grid", 5, 1_000_000, 15.0, SEAWAY, 1e-3),
     ping("grid", 32, 1_000_000, 15.0, SEAWAY, 1e-3),
