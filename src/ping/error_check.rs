@@ -48,7 +48,7 @@ fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
 }
 
 /// Share of the strongest window's mean square below which a window's level counts as noise.
-fn noise_share() -> f64 {
+pub fn noise_share() -> f64 {
     libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB)
 }
 

@@ -12,7 +12,11 @@
 //!
 //! The energies of windows are estimated from a sample of the scatterers, by range and by level of the two-way pattern. An echo fills the window that
 //! begins with it and the one that ends with it. Bins are half a window long, so the window from bin k on has E(k-1) + 2 E(k) + E(k+1), and each
-//! bin may leave out a quarter of what the weakest of its three windows bears.
+//! bin may leave out a quarter of what the weakest of its three windows bears. Of a pulse shorter than half a window, a window may hold a single whole
+//! bin and dark parts of others: there each bin bears a quarter of what the weakest bin around it does.
+//!
+//! Not every scatterer is looked at, and only for the middle element at the transmission. Any level may therefore have a scatterer that is not seen, as
+//! strong as the others around it, also where a shadow's edge divides a bin.
 //!
 //! Echoes have random phases, so the energies fluctuate: the part left out may be strong where the whole is weak. For Gaussian samples the part left out is
 //! s of the whole (its share of the energy), and a rest that does not depend on the whole, of mean energy s (1 - s). Its error is at most
@@ -51,6 +55,9 @@ const LEVELS: usize = 50;
 const PAIRS_PER_SAMPLE: usize = 256;
 const SAMPLES: (usize, usize) = (2048, 8192);
 const SAMPLES_PER_BIN: usize = 16;
+
+/// Bins to either side whose scatterers tell how strong one that is not looked at may be.
+const AROUND: usize = 4;
 
 /// Scatterers whose bins one task finds.
 const CHUNK: usize = 8192;
@@ -129,7 +136,7 @@ impl RangeFloorFinder {
         let share = allowed * allowed / look.worst_ratio;
         for array in 0..spec.receive.len() {
             self.add_up(spec, plan, scatterers, array, &look);
-            let left_out = self.lower(share, look.worst_ratio, &mut floors.levels);
+            let left_out = self.lower(share, &look, &mut floors.levels);
             floors.left_out = floors.left_out.max(left_out);
         }
         // A bin without a sample may have scatterers.
@@ -155,8 +162,8 @@ impl RangeFloorFinder {
         self.choice.from_m = None;
         for array in 0..spec.receive.len() {
             self.add_up(spec, plan, scatterers, array, &look);
-            let all = Windows::of(&self.energies, 0);
-            let left_out = Windows::of(&self.energies, first_culled);
+            let all = Windows::of(&self.energies, 0, look.short_pulse);
+            let left_out = Windows::of(&self.energies, first_culled, look.short_pulse);
             worst = worst.max(all.largest_error(&left_out, look.worst_ratio));
         }
         worst
@@ -200,9 +207,9 @@ impl RangeFloorFinder {
     }
 
     /// Lowers `floors` to what the array needs: at most `share` of the energy of any window is left out. The largest error of a window.
-    fn lower(&mut self, share: f64, worst_ratio: f64, floors: &mut [f32]) -> f64 {
+    fn lower(&mut self, share: f64, look: &Look, floors: &mut [f32]) -> f64 {
         self.culled = [0.0; BINS];
-        let windows = Windows::of(&self.energies, 0);
+        let windows = Windows::of(&self.energies, 0, look.short_pulse);
         let noise = windows.noise();
         let per_step = libm::exp10(0.1 * STEP_DB);
         let lowest = per_step.powi(1 - LEVELS as i32);
@@ -212,9 +219,10 @@ impl RangeFloorFinder {
             }
             let bears = 0.25 * share * windows.weakest_with(k).max(noise);
             let mut left = bears;
-            // Each level may have as many scatterers as one that is looked at stands for, and none of them is.
-            let (sum, number) = self.unweighted[k];
-            let mut unseen = f64::from(self.choice.strides[k] - 1) * sum / number * lowest;
+            // Each level may have as many scatterers as one that is looked at stands for, and none of them is; or one that only another element or a
+            // later instant hears.
+            let unseen = (self.choice.strides[k] - 1).max(1);
+            let mut unseen = f64::from(unseen) * self.strength(k) * lowest;
             let mut first_culled = LEVELS;
             while first_culled > 0 && energies[first_culled - 1] + unseen <= left {
                 left -= energies[first_culled - 1] + unseen;
@@ -225,8 +233,23 @@ impl RangeFloorFinder {
             floors[k] = floors[k].min(level);
             self.culled[k] = bears - left;
         }
-        let culled = Windows { sums: self.culled };
-        windows.largest_error(&culled, worst_ratio)
+        let culled = Windows {
+            sums: self.culled,
+            ..windows
+        };
+        windows.largest_error(&culled, look.worst_ratio)
+    }
+
+    /// Mean energy, over the square of its level, of a scatterer of a bin that was looked at, or of those around it, whichever is larger.
+    fn strength(&self, k: usize) -> f64 {
+        let mean = |bins: &[(f64, f64)]| {
+            let (sum, number) = bins
+                .iter()
+                .fold((0.0, 0.0), |(a, b), (sum, number)| (a + sum, b + number));
+            sum / number
+        };
+        let around = k.saturating_sub(AROUND)..(k + AROUND + 1).min(BINS);
+        mean(&self.unweighted[k..=k]).max(mean(&self.unweighted[around]))
     }
 }
 
@@ -669,6 +692,8 @@ struct Look {
     /// Scatterers that are looked at, about.
     among: usize,
     worst_ratio: f64,
+    /// A pulse is at most half a window long.
+    short_pulse: bool,
 }
 
 impl Look {
@@ -686,6 +711,7 @@ impl Look {
             per_m: 1.0 / bin_m,
             among: among.clamp(SAMPLES.0, SAMPLES.1),
             worst_ratio: fades::worst_ratio((windows * elements as f64).ln(), samples),
+            short_pulse: plan.pulse.duration_s <= 0.5 * window_s,
         }
     }
 }
@@ -693,13 +719,15 @@ impl Look {
 /// Energies of the bins of a ping, and of the windows that begin with them.
 struct Windows {
     sums: [f64; BINS],
+    short_pulse: bool,
 }
 
 impl Windows {
     /// Of the levels from `first` on.
-    fn of(energies: &Energies, first: usize) -> Self {
+    fn of(energies: &Energies, first: usize, short_pulse: bool) -> Self {
         Self {
             sums: std::array::from_fn(|k| energies[k][first..].iter().sum()),
+            short_pulse,
         }
     }
 
@@ -713,17 +741,31 @@ impl Windows {
         before + 2.0 * self.sum(k) + self.sum(k + 1)
     }
 
+    /// Energy that the window which begins with bin `k` has at least, also if it begins a little before.
+    fn least(&self, k: usize) -> f64 {
+        match self.short_pulse {
+            true => self.sum(k),
+            false => self.from(k),
+        }
+    }
+
     /// Energy of the weakest window with echoes of bin `k`.
     fn weakest_with(&self, k: usize) -> f64 {
-        let before = k.checked_sub(1).map_or(self.sum(0), |k| self.from(k));
-        before.min(self.from(k)).min(self.from(k + 1))
+        let before = match (k.checked_sub(1), self.short_pulse) {
+            (Some(before), _) => self.least(before),
+            (None, true) => 0.0,
+            (None, false) => self.sum(0),
+        };
+        // A short echo may end in the next bin, and the window with its end holds the one after.
+        let last = k + if self.short_pulse { 2 } else { 1 };
+        (k..=last).map(|k| self.least(k)).fold(before, f64::min)
     }
 
     /// Largest error of a window without what of its energies is `culled`.
     fn largest_error(&self, culled: &Self, worst_ratio: f64) -> f64 {
         let noise = self.noise();
         let errors = (0..BINS).map(|k| {
-            let share = culled.from(k) / self.from(k).max(noise).max(f64::MIN_POSITIVE);
+            let share = culled.from(k) / self.least(k).max(noise).max(f64::MIN_POSITIVE);
             let share = share.min(1.0);
             share + (share * (1.0 - share) * worst_ratio).sqrt()
         });
@@ -732,7 +774,7 @@ impl Windows {
 
     /// Noise floor of the error contract.
     fn noise(&self) -> f64 {
-        let strongest = (0..BINS).map(|k| self.from(k)).fold(0.0, f64::max);
+        let strongest = (0..BINS).map(|k| self.least(k)).fold(0.0, f64::max);
         strongest * libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB)
     }
 }
@@ -818,6 +860,7 @@ mod tests {
                 per_m: 5.0,
                 among: 3000,
                 worst_ratio: 1.0,
+                short_pulse: false,
             };
             let mut choice = Choice::default();
             for transmit_m in [DVec3::ZERO, DVec3::new(1.0, -2.0, 0.5)] {
@@ -856,8 +899,14 @@ mod tests {
             finder.unweighted[k] = (1.0, 1.0);
         }
         let (share, ratio) = (1e-5, 6.0);
+        let look = Look {
+            per_m: 5.0,
+            among: 3000,
+            worst_ratio: ratio,
+            short_pulse: false,
+        };
         let mut floors = [f32::INFINITY; BINS];
-        let got = finder.lower(share, ratio, &mut floors);
+        let got = finder.lower(share, &look, &mut floors);
         let mut worst = 0.0f64;
         for k in 0..BINS - 1 {
             let of = |from: &dyn Fn(usize) -> usize| {
@@ -887,6 +936,48 @@ mod tests {
         );
         // No more than they may leave out of every window.
         assert!(got < MARGIN * (share * ratio).sqrt(), "{got:e}");
+    }
+
+    /// A narrow shadow between lit bins. The scatterers in it that were looked at are faint, and those that were not may be lit: none is left out that
+    /// would be heard in the dark window. Of a short pulse, a window of two bins may lie in the dark with one bin and parts of the lit ones around.
+    #[test]
+    fn nothing_lit_is_left_out_of_a_narrow_shadow() {
+        const DARK: Range<usize> = 40..42;
+        for short_pulse in [false, true] {
+            let mut finder = RangeFloorFinder::default();
+            for k in 10..60 {
+                let strength = if DARK.contains(&k) { 1e-5 } else { 1.0 };
+                for level in 0..LEVELS {
+                    finder.energies[k][level] = strength * libm::exp10(-0.3 * level as f64);
+                }
+                finder.unweighted[k] = (16.0 * strength, 16.0);
+                finder.choice.strides[k] = 20;
+            }
+            let look = Look {
+                per_m: 5.0,
+                among: 3000,
+                worst_ratio: 1.0,
+                short_pulse,
+            };
+            let share = 1e-5;
+            let mut floors = [f32::INFINITY; BINS];
+            finder.lower(share, &look, &mut floors);
+            let windows = Windows::of(&finder.energies, 0, false);
+            let (lit, dark) = (windows.sum(30), windows.sum(40));
+            for k in 30..50 {
+                // Of a long pulse, echoes of the lit bins reach into every window with the dark ones.
+                let bears = match short_pulse {
+                    true if (38..43).contains(&k) => dark,
+                    _ => lit,
+                };
+                let unseen = 19.0 / 9.0 * f64::from(floors[k]).powi(2) / 2.0;
+                println!("{k}: {:.1} dB", 20.0 * floors[k].log10());
+                assert!(
+                    unseen <= 2.0 * share * bears,
+                    "{short_pulse} {k}: {unseen:e}"
+                );
+            }
+        }
     }
 
     /// One scatterer after the other, with vectors.

@@ -322,7 +322,7 @@ impl Row {
             record_bytes: timed.iter().map(|t| t.record_bytes).sum(),
             estimate_ms: estimate(&|cost| cost.wall_ms(threads)),
             error: None,
-            norm: "M".to_owned(),
+            norm: "W".to_owned(),
             tolerance: spec
                 .sonars
                 .iter()
@@ -377,7 +377,7 @@ fn head() -> String {
         "head.",
         "est. ms",
         "ratio",
-        "error M",
+        "error W",
         "toler."
     )
 }

@@ -1,13 +1,14 @@
 //! Errors of sampled windows, by the equation of the reference.
 //!
-//! The norm is M of docs/accuracy.md: the error of a window over its own level or the element's mean level in the ping, whichever
-//! is higher. A few windows of a few elements are sampled, including the strongest of each.
+//! The norm is W of docs/accuracy.md, that of the contract: the error of a window over its own level or the noise floor, whichever is higher. A few
+//! windows of a few elements are sampled, including the strongest of each and the weakest above the floor.
 
 use echotank_config::spec::{RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
 use echotank_core::model::Synthesis;
 use echotank_core::ping::PingOutput;
 use echotank_core::scene::Scatterers;
+use echotank_ping::error_check::noise_share;
 use echotank_ping::make_ping;
 use echotank_runtime::chart::bare;
 use echotank_runtime::recorded::RecordedRig;
@@ -19,7 +20,7 @@ use crate::reference::{Probe, reference_filter, reference_plan, values, window_s
 
 /// Number of sampled elements of each array.
 const ELEMENTS: usize = 4;
-/// Number of sampled windows of each element, besides the strongest.
+/// Number of sampled windows of each element, besides the strongest and the weakest.
 const WINDOWS: usize = 4;
 /// Number of samples of each window.
 const SAMPLES: usize = 16;
@@ -170,27 +171,24 @@ impl SampledPing<'_> {
             let part = frame.elements / ELEMENTS.min(frame.elements);
             let element = nth * part + chance.of(part);
             let record = frame.element(element);
-            let whole = mean_square(record);
-            if whole == 0.0 {
+            let levels: Vec<f64> = record.chunks(window).map(mean_square).collect();
+            let by_level = |a: &usize, b: &usize| levels[*a].total_cmp(&levels[*b]);
+            let strongest = (0..levels.len()).max_by(by_level);
+            let Some(strongest) = strongest.filter(|k| levels[*k] > 0.0) else {
                 continue;
-            }
-            let count = record.len().div_ceil(window);
-            let level = |k: usize| {
-                let first = k * window;
-                let len = window.min(record.len() - first);
-                let level = mean_square(&record[first..first + len]).max(whole);
-                Window {
-                    element,
-                    first,
-                    len,
-                    level,
-                }
             };
-            let strongest = (0..count)
-                .map(level)
-                .max_by(|a, b| a.level.total_cmp(&b.level));
-            found.extend(strongest);
-            found.extend((0..WINDOWS).map(|_| level(chance.of(count))));
+            let floor = levels[strongest] * noise_share();
+            let weakest = (0..levels.len())
+                .filter(|k| levels[*k] > floor)
+                .min_by(by_level);
+            let chosen = [strongest].into_iter().chain(weakest);
+            let random = (0..WINDOWS).map(|_| chance.of(levels.len()));
+            found.extend(chosen.chain(random).map(|k| Window {
+                element,
+                first: k * window,
+                len: window.min(record.len() - k * window),
+                level: levels[k].max(floor),
+            }));
         }
         found
     }
