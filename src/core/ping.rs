@@ -212,6 +212,16 @@ pub struct SceneCounts {
     pub volume: u64,
     /// Moving scatterers passed on.
     pub moving: u64,
+    /// Scatterers of the sea surface that were tested for the footprints.
+    pub surface_tested: u64,
+    /// Those of them within a footprint, before thinning.
+    pub surface_made: u64,
+    /// Pairs of legs by surface and bottom that were looked at.
+    pub reflected_pairs: u64,
+    /// Places of the surface whose motion or height was computed, about.
+    pub waves: u64,
+    /// Rays through water that bends sound, to scatterers and to their images.
+    pub rays: u64,
 }
 
 /// Counts of one pass over the scatterers, in pairs of scatterer and element.

@@ -147,7 +147,7 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     }
     let mut scatterers = std::mem::take(&mut rig.scatterers);
     rig.append_moving(&slot.plan, &mut scatterers, &mut slot.output.scene);
-    slot.output.scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
+    rig.add_surface(&slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.append_volume(&slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.propagate(&mut slot.plan, &mut scatterers, &mut slot.output.scene);
     rig.scatterers = scatterers;

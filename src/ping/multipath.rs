@@ -1039,15 +1039,20 @@ fn mean_plane(ground: &Ground, place_m: DVec3, surface_m: f64) -> Option<(Bottom
 }
 
 impl Rig {
-    /// Appends the scatterers of the sea surface to those of a ping, if it scatters. Returns their number.
-    pub fn add_surface(&mut self, plan: &PingPlan, scatterers: &mut Scatterers) -> u64 {
+    /// Appends the scatterers of the sea surface to those of a ping, if it scatters, and counts them.
+    pub fn add_surface(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &mut Scatterers,
+        counts: &mut SceneCounts,
+    ) {
         let Some(surface) = &mut self.surface else {
-            return 0;
+            return;
         };
         let unit = &mut self.sonars[plan.sonar];
         let array_m = unit.center_m(&plan.trajectory.pose_at(0.0));
         let footprints = unit.pipeline.footprints(plan);
-        surface.append(plan, footprints, array_m, scatterers)
+        surface.append(plan, footprints, array_m, scatterers, counts);
     }
 
     /// Replaces the scatterers of a ping by what the sonar hears of them: virtual points where the water bends sound, and reflected echoes besides. The
@@ -1067,10 +1072,27 @@ impl Rig {
             let shadows = shadows.map(|shadows| (shadows, self.scene.hidden()));
             let ground = ground.as_ref();
             multipath.make(plan, array_m, ground, direct, scatterers, shadows);
+            let hidden = shadows.map_or(0, |(_, (hidden, _))| hidden.len());
+            let (from, legs, pairs) = match ground.is_some() && multipath.bottom.is_some() {
+                true => (scatterers.of_scene() + hidden, LEGS, PAIRS.len()),
+                false => (scatterers.of_scene() + hidden, LEGS - 1, PAIRS_OF_SURFACE),
+            };
+            counts.reflected_pairs = (from * pairs) as u64;
+            if multipath.sea.is_some() && multipath.is_spread(plan) {
+                counts.waves += counts.reflected_pairs;
+            }
+            if plan.refraction.is_some() {
+                counts.rays = (from * legs) as u64;
+            }
+        }
+        if plan.refraction.is_some() {
+            counts.rays += (scatterers.len() + scatterers.moving.len()) as u64;
         }
         counts.unreached = self.bend(plan, scatterers);
         if let Some(multipath) = &self.multipath {
             counts.images = multipath.append(scatterers);
+            // Both legs rise.
+            counts.waves += 2 * u64::from(multipath.heights.is_some()) * counts.images;
         }
     }
 

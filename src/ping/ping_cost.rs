@@ -87,12 +87,17 @@ pub fn speedup(threads: usize) -> f64 {
 }
 
 fn gather(scene: &SceneCounts) -> Work {
-    let tested = scene.culled + scene.shadowed + scene.scatterers;
+    let tested = scene.culled + scene.shadowed + scene.scatterers + scene.surface_tested;
     let passed_on = scene.scatterers + scene.surface + scene.images;
     Work::of(Figure::Tile, scene.tiles_used as f64)
         .and(Figure::Made, scene.made as f64)
         .and(Figure::Tested, tested as f64)
         .and(Figure::Gathered, passed_on as f64)
+        .and(Figure::SurfaceScatterer, scene.surface_made as f64)
+        .and(Figure::WaterScatterer, scene.volume as f64)
+        .and(Figure::ReflectedPair, scene.reflected_pairs as f64)
+        .and(Figure::Wave, scene.waves as f64)
+        .and(Figure::Ray, scene.rays as f64)
 }
 
 fn receiver(sonar: &SonarSpec, plan: &PingPlan) -> Work {
@@ -245,6 +250,21 @@ mod tests {
         assert_eq!(work[Figure::Tested], 1000.0);
         assert_eq!(work[Figure::Gathered], 650.0);
         let made = SceneCounts { made: 100, ..scene };
-        assert!(costs.ms(&gather(&made)) > costs.ms(&work));
+        let reflected = SceneCounts {
+            reflected_pairs: 100,
+            ..scene
+        };
+        let bent = SceneCounts { rays: 100, ..scene };
+        let surface = SceneCounts {
+            surface_made: 100,
+            ..scene
+        };
+        let water = SceneCounts {
+            volume: 100,
+            ..scene
+        };
+        for more in [made, reflected, bent, surface, water] {
+            assert!(costs.ms(&gather(&more)) > costs.ms(&work), "{more:?}");
+        }
     }
 }

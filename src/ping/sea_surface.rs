@@ -15,7 +15,7 @@ use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, RigSpec, SceneSpec, SeabedShape,
     SeabedSpec, SurfaceSpec,
 };
-use echotank_core::ping::PingPlan;
+use echotank_core::ping::{PingPlan, SceneCounts};
 use echotank_core::scene::{Footprint, LawCurve, MovingScatterer, ScatterLaw, Scatterers};
 use echotank_core::time::UtcNs;
 use echotank_scene::draws::{circular_gaussian, fraction, philox};
@@ -134,17 +134,18 @@ impl SurfaceSheet {
         }))
     }
 
-    /// Appends the scatterers that the footprints may contain. Returns their number. `array_m`: place of the sonar.
+    /// Appends the scatterers that the footprints may contain, and counts them. `array_m`: place of the sonar.
     pub(crate) fn append(
         &mut self,
         plan: &PingPlan,
         footprints: &[Footprint],
         array_m: DVec3,
         scatterers: &mut Scatterers,
-    ) -> u64 {
+        counts: &mut SceneCounts,
+    ) {
         let down_m = self.down_m;
         if array_m.z <= down_m {
-            return 0;
+            return;
         }
         let mirrored = |v: DVec3| DVec3::new(v.x, v.y, -v.z);
         let place = |v: DVec3| DVec3::new(v.x, v.y, down_m - v.z);
@@ -161,7 +162,9 @@ impl SurfaceSheet {
             }
             area
         }));
-        self.scene.gather(&self.areas, &mut self.made);
+        let gathered = self.scene.gather(&self.areas, &mut self.made);
+        counts.surface_tested = gathered.culled + gathered.scatterers;
+        counts.surface_made = gathered.scatterers;
         let curve = &self.curves[plan.sonar];
         let made = &mut self.made;
         made.down_m.fill(down_m);
@@ -202,7 +205,7 @@ impl SurfaceSheet {
                 }
             },
         );
-        match &self.sea {
+        counts.surface = match &self.sea {
             Some(sea) => {
                 set_in_motion(sea, plan, array_m, made, &mut self.moving);
                 let before = scatterers.moving.len();
@@ -214,7 +217,8 @@ impl SurfaceSheet {
                 scatterers.append(made);
                 made.len() as u64
             }
-        }
+        };
+        counts.waves = u64::from(self.sea.is_some()) * counts.surface;
     }
 }
 

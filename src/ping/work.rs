@@ -63,6 +63,11 @@ figures! {
     Made "made" "a scatterer of the seabed made anew";
     Tested "tested" "a scatterer of the seabed that a ping may keep";
     Gathered "gathered" "... that it keeps";
+    SurfaceScatterer "surface_scatterer" "a scatterer of the sea surface in a footprint";
+    WaterScatterer "water_scatterer" "a scatterer of the water";
+    ReflectedPair "reflected_pair" "a pair of legs by surface and bottom to a scatterer";
+    Wave "wave" "a place of the surface whose waves move an echo";
+    Ray "ray" "a ray through water that bends sound";
     Noise "noise" "a sample of an element's noise";
     Received "received" "a sample of an element through gain and converter";
     BeamTransform "beam_transform" "a point of a beamformer's transform, for each doubling of its length";

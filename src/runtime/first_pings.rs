@@ -304,7 +304,7 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             let areas = rig.widen(&slot.plan, &areas).to_vec();
             let mut scene = rig.scene.gather(&areas, &mut scatterers);
             rig.append_moving(&slot.plan, &mut scatterers, &mut scene);
-            scene.surface = rig.add_surface(&slot.plan, &mut scatterers);
+            rig.add_surface(&slot.plan, &mut scatterers, &mut scene);
             rig.append_volume(&slot.plan, &mut scatterers, &mut scene);
             rig.propagate(&mut slot.plan, &mut scatterers, &mut scene);
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
