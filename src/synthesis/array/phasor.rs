@@ -4,7 +4,7 @@
 use std::f64::consts::PI;
 
 /// Number of samples processed together: two AVX-512 or four SSE2 registers of f64.
-pub(super) const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 
 /// Addition and subtraction of this number round to the nearest integer (|x| < 2^51). The low bits of the
 /// sum hold that integer.

@@ -8,9 +8,11 @@
 use std::f64::consts::TAU;
 
 use crate::array::direct::CUBIC_TURNS;
+use crate::array::filter::oversample;
+use crate::array::phasor::LANES;
 use crate::error_model::{Conditions, ErrorModel, MethodRefused};
 use echotank_core::arrays::ReceiverFilter;
-use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 
 /// Error from rounding of f64 delays of 0.3 s at 400 kHz on a moving platform.
 const F64_FLOOR: f64 = 1e-9;
@@ -122,6 +124,17 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
             // Of one window in ten thousand.
             fading: 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz),
         },
+    }
+}
+
+/// Points of an echo per second in `direct`.
+fn dense_rate_hz(conditions: &Conditions) -> f64 {
+    let rate_hz = conditions.sample_rate_hz;
+    match conditions.filter {
+        ReceiverFilter::None => rate_hz,
+        ReceiverFilter::Fir => {
+            rate_hz * oversample(&conditions.pulse, rate_hz, Synthesis::Direct) as f64
+        }
     }
 }
 
@@ -245,10 +258,17 @@ impl DopplerError {
         // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
         // part of the pulse that they cover.
         let curvature_per_s = range_acceleration / c;
-        let cubic_turns = pulse.sweep_hz_per_s().abs() * curvature_per_s * t.powi(3) / 32.0;
+        let cubic_per_s3 = pulse.sweep_hz_per_s().abs() * curvature_per_s / 32.0;
+        let turns = (cubic_per_s3 * t.powi(3)).min(CUBIC_TURNS);
         // A lone echo is off by that much at most. What is left over a run is the Chebyshev polynomial of third order, of
         // mean square 17/35; the errors of many echoes have random phases, whose sum fades otherwise than the echoes'.
-        let cubic = TAU * cubic_turns.min(CUBIC_TURNS) * (fading * (17f64 / 35.0).sqrt()).max(1.0);
+        let rms = (17f64 / 35.0).sqrt();
+        let of_runs = turns * (fading * rms).max(1.0);
+        // Runs are no shorter than a block, whatever that leaves. The statistics of the curvature know its interference, and have the ends of lone
+        // echoes, where the curvature leaves the root of 5 times its rms.
+        let block_s = t.min(LANES as f64 / dense_rate_hz(conditions));
+        let of_block = rms * cubic_per_s3 * block_s.powi(3);
+        let cubic = TAU * of_runs.max(of_block);
         let stale = match path {
             PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
             PathModel::Polyline => first_of(k, a * segment_s, t),
@@ -261,10 +281,12 @@ impl DopplerError {
             }
             PathModel::Continuous => 0.0,
         };
+        // The derivatives of the time of emission have factors of (c + v)/(c - v) that those of the ranges lack; see `echo::stretch`.
+        let emitted = 1.0 + 3.0 * conditions.speed_m_per_s / c;
         let phase_rad = match doppler {
             DopplerModel::None => first,
-            DopplerModel::Stretch => second + stale,
-            DopplerModel::StretchQuadratic => third + cubic + stale,
+            DopplerModel::Stretch => emitted * second + stale,
+            DopplerModel::StretchQuadratic => emitted * third + cubic + stale,
             DopplerModel::PaperEq21 => k * 2.0 * closing / c * 2.0 * farthest_m + first,
         };
         // Phase errors are largest at the end of the pulse. The edge moves by the same fraction of a

@@ -7,6 +7,7 @@ mod error_check;
 mod instrument;
 mod moving;
 mod multipath;
+mod promises;
 mod reflected_shadows;
 mod refraction;
 mod reverberation;
