@@ -130,7 +130,12 @@ pub fn sum_error_model(
 
 /// Errors of single echoes are kept, so the sound speed may not change them from ping to ping. A higher one gives a narrower filter, which fits.
 pub(crate) fn sound_speed_of_design(conditions: &Conditions) -> f64 {
-    (conditions.sound_speed_m_per_s / SOUND_SPEED_STEP_M_PER_S).ceil() * SOUND_SPEED_STEP_M_PER_S
+    sound_speed_step_up(conditions.sound_speed_m_per_s)
+}
+
+/// The next step up of a sound speed.
+pub(crate) fn sound_speed_step_up(sound_speed_m_per_s: f64) -> f64 {
+    (sound_speed_m_per_s / SOUND_SPEED_STEP_M_PER_S).ceil() * SOUND_SPEED_STEP_M_PER_S
 }
 
 /// Step of the sound speeds for which the filter of an error model is designed.

@@ -6,13 +6,17 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::conditions::sound_speed_step_up;
+use crate::element_synthesis::filter_design;
 use crate::method_selection::{MotionScale, fades};
 use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::model::Synthesis;
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW, Pulse};
 use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_synthesis::array::displaced_echo_errors;
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 
@@ -111,6 +115,8 @@ struct Energies {
     squared: [[f64; STEPS + 1]; GROWTHS],
     /// Of a window that holds no more than the end of an echo, the worst error over the rms of the last part of the echo.
     last: [f64; GROWTHS],
+    /// That rms.
+    last_part: [f64; GROWTHS],
 }
 
 impl Energies {
@@ -133,20 +139,44 @@ impl Energies {
         let squared = Growth::ALL.map(|growth| upto(&|t| growth.at(t).powi(2)));
         let floor = libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
         let part = STEPS - STEPS / PARTS;
+        let from = |g: usize, i: usize| {
+            let energy = alone[STEPS] - alone[i];
+            let error: f64 = squared[g][STEPS] - squared[g][i];
+            (error / energy.max(floor)).sqrt()
+        };
+        let last_part = std::array::from_fn(|g| from(g, part).max(f64::MIN_POSITIVE));
         let last = std::array::from_fn(|g| {
-            let from = |i: usize| {
-                let energy = alone[STEPS] - alone[i];
-                (squared[g][STEPS] - squared[g][i]) / energy.max(floor)
-            };
-            let worst = (part..STEPS).map(from).fold(0.0, f64::max);
-            (worst / from(part).max(f64::MIN_POSITIVE)).sqrt()
+            let worst = (part..STEPS).map(|i| from(g, i)).fold(0.0, f64::max);
+            worst / last_part[g]
         });
         Self {
             alone,
             grown,
             squared,
             last,
+            last_part,
         }
+    }
+
+    /// Counts in windows with no more than the end of an echo also how phases displace flanks and the tail of the receiver filter.
+    fn with_displaced_ends(mut self, spec: &SonarSpec, plan: &PingPlan) -> Self {
+        let c = sound_speed_step_up(plan.sound_speed_m_per_s);
+        let filter = filter_design(spec, Synthesis::Direct, c);
+        let shapes: [fn(f64) -> f64; GROWTHS] = [
+            |t| Growth::Constant.at(t),
+            |t| Growth::Linear.at(t),
+            |t| Growth::Square.at(t),
+            |t| Growth::Cubic.at(t),
+            |t| Growth::Unsteady.at(t),
+        ];
+        let rate_hz = spec.receiver.sample_rate_hz;
+        // A filter that cannot be designed is refused elsewhere.
+        if let Ok(errors) = displaced_echo_errors(plan, rate_hz, filter, shapes) {
+            for ((last, part), error) in self.last.iter_mut().zip(self.last_part).zip(errors) {
+                *last = last.max(error / part);
+            }
+        }
+        self
     }
 }
 
@@ -316,7 +346,7 @@ pub fn echo_statistics(
     let mut crowd = 1.0f64;
     let mut fading = 1.0f64;
     let (mut strongest_share, mut echoes) = (0.0f64, 0.0);
-    let energies = Energies::new(&plan.pulse);
+    let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
     let mut parts = vec![Part::default(); windows * PARTS];
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];

@@ -98,6 +98,54 @@ pub(super) fn window_error(
     Ok(error)
 }
 
+/// Errors of one echo that is displaced in time, in its worst window, for each radian of its carrier at the end of the pulse.
+///
+/// `shapes`: the displacement of each error over the share of the pulse, 1 at its end or any other scale; `filter` is the receiver filter. Phases
+/// count at the highest frequency of the sweep.
+///
+/// A displaced echo has another phase, and its flanks and the tail of the filter behind its end are displaced too. A window that holds no more than
+/// these is off by more than the phase, most of all at low carriers. Without filter and taper, samples that an edge crosses are not counted.
+///
+/// Results are kept, for one set of shapes: repeated selections of methods cost nothing.
+pub fn displaced_echo_errors<const N: usize>(
+    plan: &PingPlan,
+    rate_hz: f64,
+    filter: Option<FilterDesign>,
+    shapes: [fn(f64) -> f64; N],
+) -> Result<[f64; N], FilterError> {
+    static RESULTS: Mutex<Vec<(Asked, Vec<f64>)>> = Mutex::new(Vec::new());
+    let asked = Asked {
+        synthesis: Synthesis::Direct,
+        pulse: plan.pulse,
+        rate_hz,
+        filter,
+    };
+    let results = || RESULTS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, errors)) = results().iter().find(|(of, _)| *of == asked)
+        && let Ok(errors) = <[f64; N]>::try_from(errors.as_slice())
+    {
+        return Ok(errors);
+    }
+    let filter = filter.map(|f| f.decimator()).transpose()?;
+    let echo = SingleEcho::new(Synthesis::Direct, plan, rate_hz, filter.as_ref());
+    let errors = echo.displaced(shapes);
+    let mut results = results();
+    if results.len() >= KEPT {
+        results.remove(0);
+    }
+    results.push((asked, errors.to_vec()));
+    Ok(errors)
+}
+
+/// Carrier phase of test displacements, radians: small against 1, and large against the error of the quadrature.
+const DISPLACED_RAD: f64 = 1e-3;
+
+/// Positions between two samples of displaced echoes: so that about these many samples are looked at in all, behind a filter and without one, within
+/// limits. A sample may fall anywhere on a flank or on a tail.
+const FILTERED_SAMPLES: usize = 2048;
+const UNFILTERED_SAMPLES: usize = 8192;
+const DISPLACED_PLACES: (usize, usize) = (4, 64);
+
 /// A single echo in its own record.
 struct SingleEcho<'a> {
     plan: &'a PingPlan,
@@ -163,11 +211,71 @@ impl<'a> SingleEcho<'a> {
         worst
     }
 
+    /// See [`displaced_echo_errors`].
+    fn displaced<const N: usize>(&self, shapes: [fn(f64) -> f64; N]) -> [f64; N] {
+        let looked_at = match self.filter {
+            Some(_) => FILTERED_SAMPLES,
+            None => UNFILTERED_SAMPLES,
+        };
+        let places = (looked_at / self.samples).clamp(DISPLACED_PLACES.0, DISPLACED_PLACES.1);
+        let pulse = &self.plan.pulse;
+        let highest_hz = pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz;
+        let late_s = DISPLACED_RAD / (std::f64::consts::TAU * highest_hz);
+        let mut worst = [0.0f64; N];
+        for place in (0..places).map(|k| k as f64 / places as f64) {
+            let want = self.late(place, |_| 0.0);
+            for (worst, shape) in worst.iter_mut().zip(shapes) {
+                let got = self.late(place, |share| late_s * shape(share));
+                *worst = worst.max(self.compared(&want, &got).window / DISPLACED_RAD);
+            }
+        }
+        worst
+    }
+
+    /// An echo that begins `place` samples after a sample. Its sound of the share s of the pulse comes `late_s(s)` seconds late.
+    fn late(&self, place: f64, late_s: impl Fn(f64) -> f64) -> Vec<Complex64> {
+        let pulse = &self.plan.pulse;
+        let (carrier_hz, duration_s) = (pulse.center_frequency_hz, pulse.duration_s);
+        let delay_s = (self.silence as f64 + place) / self.rate_hz;
+        let late_s = |since_s: f64| late_s((since_s / duration_s).clamp(0.0, 1.0));
+        let value = |since_s: f64| {
+            let late_s = late_s(since_s);
+            let emitted_s = (since_s - late_s).clamp(0.0, duration_s);
+            let turns = carrier_hz * late_s;
+            pulse.envelope(emitted_s) * Complex64::cis(-std::f64::consts::TAU * turns)
+        };
+        let mut out = vec![Complex64::ZERO; self.samples];
+        let Some(filter) = self.filter else {
+            for (k, sample) in out.iter_mut().enumerate() {
+                let since_s = k as f64 / self.rate_hz - delay_s;
+                if (0.0..=duration_s).contains(&since_s) {
+                    *sample = value(since_s);
+                }
+            }
+            return out;
+        };
+        let flank_s = 0.5 * pulse.taper * duration_s;
+        let breaks_s = [0.0, flank_s, duration_s - flank_s, duration_s];
+        let mut quadrature = Quadrature::new(filter, 0.0, out.len());
+        for ends_s in breaks_s.windows(2) {
+            let heard_s = |emitted_s: f64| delay_s + emitted_s + late_s(emitted_s);
+            quadrature.add((heard_s(ends_s[0]), heard_s(ends_s[1])), |t_s, _| {
+                value(t_s - delay_s)
+            });
+        }
+        quadrature.finish(&mut out);
+        out
+    }
+
     /// Errors of an echo that begins `place` samples after a sample.
     fn at(&self, place: f64, doppler: f64) -> SingleEchoErrors {
         let (want, got) = (self.exactly(place, doppler), self.summed(place, doppler));
+        self.compared(&want, &got)
+    }
+
+    fn compared(&self, want: &[Complex64], got: &[Complex64]) -> SingleEchoErrors {
         let energies = |energy: fn(Complex64, Complex64) -> f64| {
-            let samples = got.iter().zip(&want).map(|(got, want)| energy(*got, *want));
+            let samples = got.iter().zip(want).map(|(got, want)| energy(*got, *want));
             window_energies(samples, self.window)
         };
         let off = energies(|got, want| (got - want).norm_sqr());
