@@ -896,7 +896,8 @@ mod tests {
                 let uneven = 1.0 + ((k * 31 + level * 17) as f64 * 0.618_033_988).fract();
                 finder.energies[k][level] = weak * uneven * libm::exp10(-0.3 * level as f64);
             }
-            finder.unweighted[k] = (1.0, 1.0);
+            // One more scatterer at each level would hardly be heard.
+            finder.unweighted[k] = (1e-12, 1.0);
         }
         let (share, ratio) = (1e-5, 6.0);
         let look = Look {

@@ -373,12 +373,15 @@ impl Scene {
     /// Runs on all threads of the current pool. Allocates only while `out` or the pool of tiles grows; remaking a tile does not allocate.
     pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
         self.footprints.clear();
-        // Where scatterers are thinned, those of the faintest directions are few. They are all that a shadow's window has.
+        // Where scatterers are thinned, those of the faintest directions are few. They are all that a shadow's window has. A depth of 1 is the edge of a fan.
         let thinned = self.seabed.as_ref().map(|(recipe, _)| recipe);
         let thinned = thinned.is_some_and(|recipe| recipe.levels().thinning().is_some());
         let finite = footprints.iter().filter(|f| f.is_finite());
         self.footprints.extend(finite.map(|f| Footprint {
-            depth: if thinned { f64::INFINITY } else { f.depth },
+            depth: match thinned && f.depth > 1.0 {
+                true => f64::INFINITY,
+                false => f.depth,
+            },
             ..*f
         }));
         let mut counts = SceneCounts::default();
