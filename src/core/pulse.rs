@@ -81,6 +81,11 @@ pub const MIN_WINDOW: f64 = 32.0;
 /// Level of the noise floor below the strongest window of a ping, dB. Errors of weaker windows are relative to the floor.
 pub const FLOOR_BELOW_STRONGEST_DB: f64 = 55.0;
 
+/// The noise floor over the strongest window's energy.
+pub fn noise_share() -> f64 {
+    libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB)
+}
+
 /// Fraction of windows that may be weaker than [`Pulse::weakest_window`]. A ping has some thousands of windows.
 const WEAKEST_WINDOWS: f64 = 1e-4;
 

@@ -331,7 +331,7 @@ pub struct Footprint {
     pub max_range_m: f64,
     /// Bounds of the pattern: length and width of transmitter and element.
     pub sides: [PatternSide; Self::SIDES],
-    /// Ratio of the maximum of the product of the sides to its floor; infinity keeps all directions.
+    /// Ratio of the maximum of the product of the sides to its floor; infinity keeps all directions, 1 those within a fan.
     pub depth: f64,
     /// Faces of transmitter and element.
     pub faces: [BaffledFace; 2],

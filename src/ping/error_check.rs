@@ -18,7 +18,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::Synthesis;
 use echotank_core::ping::{ErrorCheck, PingOutput, PingPlan};
-use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW, Pulse};
+use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::error_models::synthesis_cost_ms;
@@ -45,11 +45,6 @@ const SPAN_S: f64 = 1e-3;
 /// Samples of a window: a pulse long, but of [`MIN_WINDOW`] samples at least.
 fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
     (pulse_s * rate_hz).ceil().max(MIN_WINDOW) as usize
-}
-
-/// Share of the strongest window's mean square below which a window's level counts as noise.
-pub fn noise_share() -> f64 {
-    libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB)
 }
 
 /// The worst window of any element of a whole ping, rms of what is off over the truth's rms in the window or in the ping, whichever is larger:

@@ -14,7 +14,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::model::Synthesis;
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW, Pulse};
+use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::displaced_echo_errors;
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
@@ -137,7 +137,7 @@ impl Energies {
         let alone = upto(&|_| 1.0);
         let grown = Growth::ALL.map(|growth| upto(&|t| growth.at(t)));
         let squared = Growth::ALL.map(|growth| upto(&|t| growth.at(t).powi(2)));
-        let floor = libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
+        let floor = noise_share();
         let part = STEPS - STEPS / PARTS;
         let from = |g: usize, i: usize| {
             let energy = alone[STEPS] - alone[i];
@@ -366,8 +366,7 @@ pub fn echo_statistics(
             sounded = true;
             let window = |parts: &[Part]| parts.iter().fold(Part::default(), Part::and);
             let strongest = parts.windows(PARTS).map(|parts| window(parts).energy);
-            let floor =
-                strongest.fold(mean, f64::max) * libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
+            let floor = strongest.fold(mean, f64::max) * noise_share();
             for window in parts.windows(PARTS).map(window) {
                 if window.energy == 0.0 {
                     continue;

@@ -17,7 +17,7 @@ use crate::work::{Figure, Work};
 use echotank_config::spec::SonarSpec;
 use echotank_core::model::{DopplerModel, Synthesis};
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW};
+use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::echo::error_models::edge_error;
@@ -97,7 +97,7 @@ pub(crate) fn moving_error(
                 }
             }
             let strongest = windows.iter().map(|w| w.energy).fold(0.0, f64::max);
-            let floor = strongest * libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
+            let floor = strongest * noise_share();
             for w in windows.iter().filter(|w| w.energy > 0.0) {
                 worst = worst.max(match is_alone && w.loudest >= ALONE * w.energy {
                     true => w.worst_rad,

@@ -15,7 +15,7 @@ use num_complex::Complex64;
 use crate::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_core::model::Synthesis;
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW, Pulse};
+use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 
 use super::Direct;
 use super::filter::{Decimator, FilterDesign, FilterError};
@@ -281,7 +281,7 @@ impl<'a> SingleEcho<'a> {
         let off = energies(|got, want| (got - want).norm_sqr());
         let all = energies(|_, want| want.norm_sqr());
         let strongest = all.iter().copied().fold(0.0, f64::max);
-        let floor = strongest * 10f64.powf(-FLOOR_BELOW_STRONGEST_DB / 10.0);
+        let floor = strongest * noise_share();
         let shares = off.iter().zip(&all);
         let worst = shares
             .map(|(off, here)| off / here.max(floor))
