@@ -182,7 +182,9 @@ impl Gridded1d {
                 least: MIN_TOLERANCE,
             });
         }
-        let spread_error = F32_TRANSFORM * 10f64.powf(spec.level_range_db / 20.0);
+        // Weaker windows are compared with the noise floor.
+        let weakest_db = spec.level_range_db.min(FLOOR_BELOW_STRONGEST_DB);
+        let spread_error = F32_TRANSFORM * 10f64.powf(weakest_db / 20.0);
         let weakening = weakening(spec);
         let needed = spec.tolerance / weakening;
         if needed < MIN_F32_MOMENTS {
@@ -204,11 +206,8 @@ impl Gridded1d {
         // f64 doubles the memory traffic.
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
-        // Rounding of transforms spreads over the record; the noise floor bounds what it amounts to.
-        let above_floor_db = spec.level_range_db - FLOOR_BELOW_STRONGEST_DB;
-        let rounding = spread_error * 10f64.powf(-above_floor_db.max(0.0) / 20.0);
-        let single_echo_error = design.single_echo.worst.hypot(rounding);
-        let mean_error = design.single_echo.mean.hypot(rounding);
+        let single_echo_error = design.single_echo.worst.hypot(spread_error);
+        let mean_error = design.single_echo.mean.hypot(spread_error);
         let doppler = &design.terms[0].grid;
         let curvature = match &design.terms[1..] {
             [] if design.frame.curved => ", which carry curvature".into(),
