@@ -22,6 +22,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use num_complex::Complex64;
+use rayon::prelude::*;
 
 use crate::arrivals::{ArrivalChunk, ArrivalSink, CHUNK};
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
@@ -276,9 +277,6 @@ pub fn insonify(
     let floor = pattern_floor(plan);
     let farthest_m = plan.sound_speed_m_per_s * window.last_s;
 
-    transmit_leg.batch_range_m.clear();
-    transmit_leg.batch_closing_m_per_s.clear();
-    transmit_leg.batch_box_m.clear();
     transmit_leg.window = Some(window);
     transmit_leg.transmit = transmit;
     transmit_leg.curve.clone_from(&scatterers.curve);
@@ -300,31 +298,47 @@ pub fn insonify(
         bound_images(transmit_leg);
         return counts;
     }
-    transmit_leg
-        .batch_range_m
-        .extend(transmit_leg.range_m.chunks(CHUNK).map(min_max));
-    transmit_leg
-        .batch_closing_m_per_s
-        .extend(transmit_leg.closing_m_per_s.chunks(CHUNK).map(min_max));
-    let places = transmit_leg
-        .x_m
-        .chunks(CHUNK)
-        .zip(transmit_leg.y_m.chunks(CHUNK));
-    transmit_leg
-        .batch_box_m
-        .extend(
-            places
-                .zip(transmit_leg.z_m.chunks(CHUNK))
-                .map(|((x, y), z)| {
-                    let (x, y, z) = (min_max(x), min_max(y), min_max(z));
-                    (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1))
-                }),
-        );
+    bound(transmit_leg);
     counts
+}
+
+/// Bounds of the batches.
+fn bound(leg: &mut TransmitLeg) {
+    let TransmitLeg {
+        x_m,
+        y_m,
+        z_m,
+        range_m,
+        closing_m_per_s,
+        batch_range_m,
+        batch_closing_m_per_s,
+        batch_box_m,
+        ..
+    } = leg;
+    let batches = range_m.len().div_ceil(CHUNK);
+    batch_range_m.resize(batches, (0.0, 0.0));
+    batch_closing_m_per_s.resize(batches, (0.0, 0.0));
+    batch_box_m.resize(batches, (DVec3::ZERO, DVec3::ZERO));
+    batch_range_m
+        .par_iter_mut()
+        .zip(batch_closing_m_per_s)
+        .zip(batch_box_m)
+        .enumerate()
+        .with_min_len(16)
+        .for_each(|(b, ((of_range, of_closing), of_box))| {
+            let span = b * CHUNK..((b + 1) * CHUNK).min(range_m.len());
+            *of_range = min_max(&range_m[span.clone()]);
+            *of_closing = min_max(&closing_m_per_s[span.clone()]);
+            let [x, y, z] = [&*x_m, &*y_m, &*z_m].map(|axis| min_max(&axis[span.clone()]));
+            *of_box = (DVec3::new(x.0, y.0, z.0), DVec3::new(x.1, y.1, z.1));
+        });
 }
 
 /// Bounds of the batches of a leg with echoes whose legs differ.
 fn bound_images(leg: &mut TransmitLeg) {
+    leg.batch_range_m.clear();
+    leg.batch_closing_m_per_s.clear();
+    leg.batch_box_m.clear();
     let v = leg.transmit.motion.velocity_m_per_s;
     let mut nearest_receive_m = f64::INFINITY;
     leg.batch_range_m
@@ -438,11 +452,18 @@ fn compute_transmit_leg(
 
 /// Smallest and largest value.
 fn min_max(values: &[f64]) -> (f64, f64) {
-    values
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &x| {
-            (least.min(x), most.max(x))
-        })
+    // Several at a time: each comparison waits for the one before.
+    let (parts, rest) = values.as_chunks::<8>();
+    let (mut least, mut most) = ([f64::INFINITY; 8], [f64::NEG_INFINITY; 8]);
+    for part in parts {
+        for (x, (least, most)) in part.iter().zip(least.iter_mut().zip(&mut most)) {
+            (*least, *most) = (least.min(*x), most.max(*x));
+        }
+    }
+    (
+        least.iter().chain(rest).copied().fold(least[0], f64::min),
+        most.iter().chain(rest).copied().fold(most[0], f64::max),
+    )
 }
 
 /// Value of one leg of a curved scattering law; zero on the far side of the patch.
@@ -697,11 +718,12 @@ fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
     let normal_z = &transmit_leg.normal_z[span.clone()][..n];
     let closing_m_per_s = &transmit_leg.closing_m_per_s[span.clone()][..n];
     // The half of the law apart: loops that look up the curve are not vectorised.
-    let mut law = [0.0; CHUNK];
+    let (mut law, mut pers_m) = ([0.0; CHUNK], [0.0; CHUNK]);
     for i in 0..n {
         let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
         let range_m = (x * x + y * y + z * z).sqrt();
         let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        (received.range_m[i], pers_m[i]) = (range_m, per_m);
         let normal_along_ray =
             (f64::from(normal_x[i]) * x + f64::from(normal_y[i]) * y + f64::from(normal_z[i]) * z)
                 * per_m;
@@ -717,9 +739,7 @@ fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
         }
     }
     for i in 0..n {
-        let (x, y, z) = (rays.x_m[i], rays.y_m[i], rays.z_m[i]);
-        let range_m = (x * x + y * y + z * z).sqrt();
-        let per_m = 1.0 / range_m.max(f64::MIN_POSITIVE);
+        let (range_m, per_m) = (received.range_m[i], pers_m[i]);
         let response = if OMNI {
             1.0
         } else {
@@ -729,7 +749,6 @@ fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
                 rays.array_z_m[i] * per_m,
             )
         };
-        received.range_m[i] = range_m;
         received.gain[i] =
             receive.sensitivity * response * law[i] * receive.one_way.amplitude_at(range_m, per_m);
         received.level[i] = level[i] * response.abs();
