@@ -16,7 +16,7 @@ use super::occlusion::{Occluders, Occlusion};
 use super::pool::{Slot, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
-use super::thinning::{self, Found, KeepProbability, LANES, Lanes};
+use super::thinning::{self, Found, KeepProbability, Lanes};
 use super::tiles::{BLOCKS_PER_TILE, CELLS_PER_BLOCK, Recipe, Tile, TileBox, TileId};
 use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
@@ -27,6 +27,9 @@ const EDGE_M: f64 = 1e9;
 
 /// Tiles that one thread copies at a time.
 const COPIED_TOGETHER: usize = 8;
+
+/// Scatterers that the widest vectors test together; a block has a multiple of them.
+const VECTOR: usize = 16;
 
 /// Scatterer counts of one tile.
 #[derive(Clone, Copy, Debug, Default)]
@@ -383,8 +386,8 @@ fn keep(
     count
 }
 
-/// Factors on the strengths of the scatterers in some rows of a block, in shadow or not; 0 for those that the ping does not keep. Only the footprints
-/// `among` have the block in reach.
+/// Factors on the strengths of the scatterers in some rows of a block, in shadow or not; 0 for those that the ping does not keep. Rows after them have
+/// any factor. Only the footprints `among` have the block in reach.
 #[inline(always)]
 fn test(
     tile: &Tile,
@@ -394,30 +397,27 @@ fn test(
     lanes: &[Lanes],
     among: u64,
 ) -> [f32; CELLS_PER_BLOCK] {
-    let mut found = [Found::NOTHING; CELLS_PER_BLOCK / LANES];
-    let found = &mut found[..rows.len() / LANES];
+    let mut found = Found::NOTHING;
+    // Whole vectors: what lies in the further rows is not used.
+    let end = rows.start + rows.len().next_multiple_of(VECTOR);
+    let (grounds, ranks) = tile.grounds(rows.start..end);
     for (index, (lanes, footprint)) in lanes.iter().zip(chances.footprints).enumerate() {
         if !Reach::may_reach(among, index) {
             continue;
         }
         let offset_m = tile.zero_m + (chances.anchor_m - footprint.apex_m);
         let offset_m = offset_m.as_vec3().to_array();
-        let own = chances.probabilities.get(index);
-        for (group, found) in found.iter_mut().enumerate() {
-            let (grounds, _) = tile.lanes(rows.start + group * LANES);
-            lanes.test(own, offset_m, grounds, found);
-        }
+        lanes.test(
+            chances.probabilities.get(index),
+            offset_m,
+            grounds,
+            &mut found,
+        );
     }
-    let mut gains = [0.0; CELLS_PER_BLOCK];
-    let (groups, _) = gains.as_chunks_mut::<LANES>();
-    for (group, (gains, found)) in groups.iter_mut().zip(found).enumerate() {
-        let (_, ranks) = tile.lanes(rows.start + group * LANES);
-        *gains = match chances.probabilities {
-            [] => found.contained.map(f32::from),
-            _ => thinning::gains(ranks, found, level),
-        };
+    match chances.probabilities {
+        [] => found.contained.map(|contained| contained as f32),
+        _ => thinning::gains(ranks, &found, level),
     }
-    gains
 }
 
 impl<'a> GatherContext<'a> {

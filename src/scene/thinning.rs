@@ -29,10 +29,10 @@
 
 use glam::DVec3;
 
-use super::tiles::{NEAREST_M, TileBox};
+use super::tiles::{CELLS_PER_BLOCK, NEAREST_M, TileBox};
 use echotank_core::scene::{Footprint, ResolutionCell, kept_share};
 
-/// Scatterers that are made and tested together. A block of a side lobe has few that may be kept: with twice as many, half of all would be made in vain.
+/// Scatterers that are made together. A block of a side lobe has few that may be kept: with twice as many, half of all would be made in vain.
 pub(crate) const LANES: usize = 8;
 
 /// Half of the interval of u / p in which a scatterer fades.
@@ -124,29 +124,41 @@ impl KeepProbability {
     }
 }
 
-/// Positions and slopes of scatterers, relative to the origin of their tile.
+/// Positions and slopes of scatterers of a block, relative to the origin of their tile: lists of the same length.
 #[derive(Clone, Copy)]
 pub(crate) struct Grounds<'a> {
-    pub north_m: &'a [f32; LANES],
-    pub east_m: &'a [f32; LANES],
-    pub down_m: &'a [f32; LANES],
-    pub slope_north: &'a [f32; LANES],
-    pub slope_east: &'a [f32; LANES],
+    pub north_m: &'a [f32],
+    pub east_m: &'a [f32],
+    pub down_m: &'a [f32],
+    pub slope_north: &'a [f32],
+    pub slope_east: &'a [f32],
 }
 
-/// What the test of scatterers against all footprints finds.
+impl Grounds<'_> {
+    /// Scatterer `i`, if the tile's origin is at `offset_m`.
+    #[inline(always)]
+    fn relative_m(&self, offset_m: [f32; 3], i: usize) -> [f32; 3] {
+        [
+            offset_m[0] + self.north_m[i],
+            offset_m[1] + self.east_m[i],
+            offset_m[2] + self.down_m[i],
+        ]
+    }
+}
+
+/// What the test of the scatterers of a block against all footprints finds.
 #[derive(Clone, Copy)]
 pub(crate) struct Found {
     /// Greatest probability of any footprint; 0 where none has the scatterer in range and before its faces.
-    pub probability: [f32; LANES],
-    /// Whether any footprint contains the scatterer.
-    pub contained: [bool; LANES],
+    pub probability: [f32; CELLS_PER_BLOCK],
+    /// 1 where any footprint contains the scatterer, else 0. As wide as a probability, so that the loops over both are vectors.
+    pub contained: [u32; CELLS_PER_BLOCK],
 }
 
 impl Found {
     pub(crate) const NOTHING: Self = Self {
-        probability: [0.0; LANES],
-        contained: [false; LANES],
+        probability: [0.0; CELLS_PER_BLOCK],
+        contained: [0; CELLS_PER_BLOCK],
     };
 }
 
@@ -207,51 +219,104 @@ impl Lanes {
         of: Grounds,
         found: &mut Found,
     ) {
-        for i in 0..LANES {
-            let d = [
-                offset_m[0] + of.north_m[i],
-                offset_m[1] + of.east_m[i],
-                offset_m[2] + of.down_m[i],
-            ];
-            let dot = |v: &[f32; 3]| d[0] * v[0] + d[1] * v[1] + d[2] * v[2];
-            let range_squared_m2 = dot(&d);
-            let range_m = range_squared_m2.sqrt();
-            let per_range = 1.0 / range_m;
-            let mut inside = range_squared_m2 <= self.max_range_squared_m2;
-            for k in 0..2 {
-                let least_m = -(self.face_turn[k] * range_m + self.face_shift_m[k]);
-                inside &= dot(&self.normals[k]) >= least_m;
+        let n = of.north_m.len().min(CELLS_PER_BLOCK);
+        let of = Grounds {
+            north_m: &of.north_m[..n],
+            east_m: &of.east_m[..n],
+            down_m: &of.down_m[..n],
+            slope_north: &of.slope_north[..n],
+            slope_east: &of.slope_east[..n],
+        };
+        let (probability, contained) = (&mut found.probability[..n], &mut found.contained[..n]);
+        let Some(own) = own else {
+            for (i, contained) in contained.iter_mut().enumerate() {
+                *contained |= u32::from(self.direction(of.relative_m(offset_m, i)).contained);
             }
-            let (mut envelope, mut below) = (1.0_f32, 1.0_f32);
-            for k in 0..4 {
-                let along_m = dot(&self.axes[k]).abs();
-                envelope *= at_least_1(along_m * per_range * self.per_knee[k]);
-                let sine = (along_m - self.shift_m[k]) * per_range - self.turn[k];
-                below *= at_least_1(sine * self.per_reach[k]);
-            }
-            found.contained[i] |= inside & (below <= self.depth);
-            let Some(own) = own else {
-                continue;
-            };
+            return;
+        };
+        let [ceilings, steps] = &own.ceiling_f32;
+        for i in 0..n {
+            let d = of.relative_m(offset_m, i);
+            let Direction {
+                range_m,
+                per_range,
+                envelope,
+                inside,
+                contained: is_contained,
+            } = self.direction(d);
+            contained[i] |= u32::from(is_contained);
             let place = (0.5 * COSINES as f32) * (d[2] * per_range + 1.0);
             let k = (place as i32).clamp(0, COSINES as i32 - 1);
-            let [ceiling, step] = &own.ceiling_f32;
-            let ceiling = ceiling[k as usize] + (place - k as f32) * step[k as usize];
+            let ceiling = ceilings[k as usize] + (place - k as f32) * steps[k as usize];
             let share = {
                 let envelope = 1.0 / (envelope * ceiling);
-                let of_main = envelope * (std::f32::consts::PI * envelope).min(1.0);
-                (self.lobes * envelope).max(of_main).min(1.0)
+                let of_main = envelope * least(std::f32::consts::PI * envelope, 1.0);
+                least(greatest(self.lobes * envelope, of_main), 1.0)
             };
             let north = (d[0] + d[2] * of.slope_north[i]) * per_range;
             let east = (d[1] + d[2] * of.slope_east[i]) * per_range;
-            let far = 1.0 / range_m.max(NEAREST_M as f32);
-            let min_slant = (self.per_across * far).max((2.0 * self.range_m * far).sqrt());
-            let slant = (north * north + east * east).sqrt().max(min_slant).min(1.0);
-            let probability = self.main_lobe * far * slant * share;
-            let probability = if inside { probability } else { 0.0 };
-            found.probability[i] = found.probability[i].max(probability);
+            let far = 1.0 / greatest(range_m, NEAREST_M as f32);
+            let min_slant = greatest(self.per_across * far, (2.0 * self.range_m * far).sqrt());
+            let slant = greatest((north * north + east * east).sqrt(), min_slant);
+            let own = self.main_lobe * far * least(slant, 1.0) * share;
+            let own = if inside { own } else { 0.0 };
+            probability[i] = greatest(probability[i], own);
         }
     }
+
+    /// Of a scatterer at `d` from the apex.
+    #[inline(always)]
+    fn direction(&self, d: [f32; 3]) -> Direction {
+        let range_squared_m2 = dot(d, &d);
+        let range_m = range_squared_m2.sqrt();
+        let per_range = 1.0 / range_m;
+        let mut inside = range_squared_m2 <= self.max_range_squared_m2;
+        for k in 0..2 {
+            let least_m = -(self.face_turn[k] * range_m + self.face_shift_m[k]);
+            inside &= dot(d, &self.normals[k]) >= least_m;
+        }
+        let (mut envelope, mut below) = (1.0_f32, 1.0_f32);
+        for k in 0..4 {
+            let along_m = dot(d, &self.axes[k]).abs();
+            envelope *= at_least_1(along_m * per_range * self.per_knee[k]);
+            let sine = (along_m - self.shift_m[k]) * per_range - self.turn[k];
+            below *= at_least_1(sine * self.per_reach[k]);
+        }
+        Direction {
+            range_m,
+            per_range,
+            envelope,
+            inside,
+            contained: inside & (below <= self.depth),
+        }
+    }
+}
+
+#[inline(always)]
+fn dot(a: [f32; 3], b: &[f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Where a footprint has a scatterer.
+struct Direction {
+    range_m: f32,
+    per_range: f32,
+    /// Maximum of the envelope over it.
+    envelope: f32,
+    /// In range and before the faces.
+    inside: bool,
+    contained: bool,
+}
+
+/// The smaller and the larger of two numbers, the second where one is not a number; a single instruction, unlike `min` and `max`.
+#[inline(always)]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn greatest(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
 }
 
 /// Also for a side of length 0 and no width, whose product is not a number.
@@ -314,26 +379,24 @@ pub(crate) fn gain(rank: f64, probability: f64, level: u32) -> f64 {
 }
 
 /// The factors w on the strengths of scatterers of a level: with p the probability, u / p and G(1 / p) as above. A rank here is u times 2^level, and a
-/// strength is 2^(level/2) times that of level 0.
+/// strength is 2^(level/2) times that of level 0. 0 for scatterers beyond the end of `ranks`.
 #[inline(always)]
-pub(crate) fn gains(ranks: &[f32; LANES], found: &Found, level: u32) -> [f32; LANES] {
+pub(crate) fn gains(ranks: &[f32], found: &Found, level: u32) -> [f32; CELLS_PER_BLOCK] {
     const LOW: f32 = 1.0 - FADE as f32;
     const HIGH: f32 = 1.0 + FADE as f32;
     let scale = (1_u64 << level.min(63)) as f32;
-    let mut gains = [0.0; LANES];
-    for i in 0..LANES {
-        let p = found.probability[i];
+    let mut gains = [0.0; CELLS_PER_BLOCK];
+    let of_each = found.probability.iter().zip(&found.contained);
+    for ((gain, rank), (p, contained)) in gains.iter_mut().zip(ranks).zip(of_each) {
+        let p = *p;
         let scaled = p * scale;
-        let part = ((HIGH - ranks[i] / scaled) / (HIGH - LOW)).min(1.0);
+        let part = least((HIGH - rank / scaled) / (HIGH - LOW), 1.0);
         let t = 1.0 / p;
-        let over = t.clamp(LOW, HIGH) - LOW;
-        let integral = t.min(LOW) + over - over * over / (2.0 * (HIGH - LOW));
-        let kept = (part > 0.0) & (p > 0.0) & found.contained[i];
-        gains[i] = if kept {
-            (part / (scaled * integral)).sqrt()
-        } else {
-            0.0
-        };
+        let over = least(greatest(t, LOW), HIGH) - LOW;
+        let integral = least(t, LOW) + over - over * over / (2.0 * (HIGH - LOW));
+        let kept = (part > 0.0) & (p > 0.0) & (*contained != 0);
+        let square = part / (scaled * integral);
+        *gain = if kept { square } else { 0.0 }.sqrt();
     }
     gains
 }

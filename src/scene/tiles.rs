@@ -43,6 +43,9 @@ pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
     * (7 * size_of::<f32>() + size_of::<Complex32>() + size_of::<u8>() + size_of::<u16>()))
     as u64;
 
+/// Cells whose ranks are drawn together: each draw waits for the one before, and those of other cells fill the time.
+const SORTED_TOGETHER: usize = 16;
+
 /// Distance below which the automatic density is constant, metres.
 pub(crate) const NEAREST_M: f64 = 2.0;
 
@@ -261,21 +264,17 @@ impl Tile {
         self.zero_m + DVec3::from(from_zero.map(f64::from))
     }
 
-    /// Places and ranks of [`LANES`] rows from `from` on.
+    /// Places and ranks of some rows.
     #[inline(always)]
-    pub(crate) fn lanes(&self, from: usize) -> (Grounds<'_>, &[f32; LANES]) {
-        #[inline(always)]
-        fn of(list: &[f32], from: usize) -> &[f32; LANES] {
-            list[from..from + LANES].try_into().expect("as many rows")
-        }
+    pub(crate) fn grounds(&self, rows: Range<usize>) -> (Grounds<'_>, &[f32]) {
         let grounds = Grounds {
-            north_m: of(&self.north_m, from),
-            east_m: of(&self.east_m, from),
-            down_m: of(&self.down_m, from),
-            slope_north: of(&self.slope_north, from),
-            slope_east: of(&self.slope_east, from),
+            north_m: &self.north_m[rows.clone()],
+            east_m: &self.east_m[rows.clone()],
+            down_m: &self.down_m[rows.clone()],
+            slope_north: &self.slope_north[rows.clone()],
+            slope_east: &self.slope_east[rows.clone()],
         };
-        (grounds, of(&self.rank, from))
+        (grounds, &self.rank[rows])
     }
 
     /// Number of scatterers in a range of rows, less those in holes.
@@ -412,7 +411,7 @@ impl Recipe {
         let rows = block * CELLS_PER_BLOCK..(block + 1) * CELLS_PER_BLOCK;
         let mut order: [u64; CELLS_PER_BLOCK] = std::array::from_fn(|cell| cell as u64);
         if self.levels.thinning.is_some() {
-            for order in order.as_chunks_mut::<LANES>().0 {
+            for order in order.as_chunks_mut::<SORTED_TOGETHER>().0 {
                 let ranks = widest(
                     #[inline(always)]
                     || {
@@ -573,20 +572,20 @@ impl Drawn {
 
 /// Indices of cells of a block in a level. The functions are loops without branches over the cells.
 #[derive(Clone, Copy)]
-struct Cells {
-    north: [i64; LANES],
-    east: [i64; LANES],
+struct Cells<const N: usize> {
+    north: [i64; N],
+    east: [i64; N],
 }
 
-impl Cells {
+impl<const N: usize> Cells<N> {
     /// Cells at places of a block.
     #[inline(always)]
-    fn of_block(id: TileId, block: usize, places: &[u8; LANES]) -> Self {
+    fn of_block(id: TileId, block: usize, places: &[u8; N]) -> Self {
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
         let zero = (first(id.row), first(id.col));
         let mut cells = Self {
-            north: [0; LANES],
-            east: [0; LANES],
+            north: [0; N],
+            east: [0; N],
         };
         for (i, place) in places.iter().enumerate() {
             let (north, east) = cell_at(block * CELLS_PER_BLOCK + usize::from(*place));
@@ -597,8 +596,8 @@ impl Cells {
 
     /// The halves that represent the cells, which are of a level: 0 or 1.
     #[inline(always)]
-    fn halves(&self, seed: u64, level: u32) -> [i64; LANES] {
-        let mut halves = [0; LANES];
+    fn halves(&self, seed: u64, level: u32) -> [i64; N] {
+        let mut halves = [0; N];
         let cells = self.north.iter().zip(&self.east);
         for (half, (north, east)) in halves.iter_mut().zip(cells) {
             *half = draws::half_of(seed, level, *north, *east);
@@ -630,12 +629,12 @@ impl Cells {
     /// Permanent random numbers of the scatterers of cells, among those of the cells' level. The scatterer is in the next level with probability 1/2.
     /// Those in k further levels and no more have ranks in 2^-k (1/2, 1]; the representing cell of level 0 gives the place in that interval.
     #[inline(always)]
-    fn ranks(&self, seed: u64, level: u32, finest: &Self) -> [f32; LANES] {
+    fn ranks(&self, seed: u64, level: u32, finest: &Self) -> [f32; N] {
         let mut cells = *self;
         // 1 while the scatterer is in every level so far, and the number of these levels.
-        let (mut represents, mut further) = ([1; LANES], [0; LANES]);
+        let (mut represents, mut further) = ([1; N], [0; N]);
         for level in level + 1..=MAX_LEVEL {
-            let mut own = [0; LANES];
+            let mut own = [0; N];
             let (by_north, by_east) = Self::shifts(level);
             for (i, own) in own.iter_mut().enumerate() {
                 *own = (cells.north[i] & by_north) | (cells.east[i] & by_east);
@@ -644,7 +643,7 @@ impl Cells {
             }
             let halves = cells.halves(seed, level);
             let mut any = 0;
-            for i in 0..LANES {
+            for i in 0..N {
                 represents[i] &= 1 ^ own[i] ^ halves[i];
                 further[i] += represents[i];
                 any |= represents[i];
@@ -653,8 +652,8 @@ impl Cells {
                 break;
             }
         }
-        let mut ranks = [0.0; LANES];
-        for i in 0..LANES {
+        let mut ranks = [0.0; N];
+        for i in 0..N {
             let place = 1.0 - draws::rank(seed, finest.north[i], finest.east[i]) / 2.0;
             // 2^-k.
             let factor = f64::from_bits((1023 - further[i] as u64) << 52);
