@@ -19,7 +19,7 @@ use echotank_core::simd::SimdLevel;
 use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places};
-use super::spread::{LANES, NARROW};
+use super::spread::{LANES, NARROW, QUARTER, lanes_for};
 use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
@@ -55,8 +55,9 @@ const TAP_NS: f64 = 1.6;
 /// Grids of more bytes leave the second-level cache: rows and taps then cost so much more for every doubling.
 const CACHED_GRID: f64 = 512.0 * 1024.0;
 const UNCACHED: f64 = 0.25;
-/// What a narrow block saves of a wide one, whose vectors are twice as wide.
+/// What a narrow block saves of a wide one, whose vectors are twice as wide, and a quarter block.
 const NARROW_SAVES: f64 = 0.45;
+const QUARTER_SAVES: f64 = 0.6;
 /// Per row of a column's transform and log2 of the rows; per sample and element of the output.
 const TRANSFORM_NS: f64 = 2.0;
 const SAMPLE_NS: f64 = 6.0;
@@ -380,9 +381,13 @@ impl Design {
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let extent_s = 0.55 * pulse.duration_s + filter.half_s() + 1.1 * half_m / c;
         let extent = (extent_s * rate_hz).ceil() as usize + 1;
-        let narrow = (1..=NARROW).contains(&(array.elements % LANES));
-        let blocks =
-            array.elements.div_ceil(LANES) as f64 - if narrow { NARROW_SAVES } else { 0.0 };
+        let saves = match (array.elements % LANES, lanes_for(array.elements % LANES)) {
+            (0, _) => 0.0,
+            (_, QUARTER) => QUARTER_SAVES,
+            (_, NARROW) => NARROW_SAVES,
+            _ => 0.0,
+        };
+        let blocks = array.elements.div_ceil(LANES) as f64 - saves;
         let (echoes, samples) = (spec.scatterers as f64, spec.samples);
 
         let moving = spec.doppler != DopplerModel::None;

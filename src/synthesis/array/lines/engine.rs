@@ -26,7 +26,10 @@ use super::design::{BEYOND_SHARE, Design, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
 use super::nodes::{BlockWeights, NODES, NodeCounts, block_weights, coefficients, places};
-use super::spread::{CELL, EchoChunk, LANES, Located, NARROW, Shape, add, column_stride};
+use super::products::{Bin, add_products};
+use super::spread::{
+    CELL, EchoChunk, LANES, Located, Shape, add, cell_lanes, cell_rows, column_stride, lanes_for,
+};
 
 /// Echoes are ordered by arrival in steps of this many rows.
 const BUCKET_ROWS: usize = 8;
@@ -50,9 +53,11 @@ pub struct GriddedLines {
     pulse_s: f64,
     tolerance: f64,
     forward: BatchedFft<f32>,
+    /// Of half as many rows: of blocks with two rows a cell.
+    forward_half: BatchedFft<f32>,
     inverse: BatchedFft<f32>,
-    /// Row of the grid and row of the spectrum of every used bin.
-    bins: Vec<(u32, u32)>,
+    /// Every used bin.
+    bins: Vec<Bin>,
     /// `[column][bin]`
     templates: Vec<Complex<f32>>,
     /// Whether the change of the Doppler during the pulse counts.
@@ -108,7 +113,29 @@ struct Solving {
 struct Batch {
     chunk: EchoChunk,
     bucket: [u32; CHUNK],
+    /// Energy, and its place in [`State::energy`].
+    energy: [f32; CHUNK],
+    energy_at: [u32; CHUNK],
     counts: EchoCounts,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self {
+            chunk: EchoChunk::default(),
+            bucket: [NOWHERE; CHUNK],
+            energy: [0.0; CHUNK],
+            energy_at: [0; CHUNK],
+            counts: EchoCounts::default(),
+        }
+    }
+}
+
+/// Parts of a slab, each a part of a pulse long.
+struct Parts {
+    parts: usize,
+    /// Parts of a bucket.
+    per_part: f64,
 }
 
 /// One slab of a ping.
@@ -142,23 +169,33 @@ impl GriddedLines {
         let forward = BatchedFft::new(design.slab_rows);
         let inverse = BatchedFft::new(design.slab_samples);
         let (rows, samples) = (design.slab_rows, design.slab_samples);
-        let mut row_of_bin = vec![0u32; rows];
-        for (row, frequency) in forward.frequencies().enumerate() {
-            row_of_bin[frequency] = row as u32;
-        }
+        let forward_half = BatchedFft::new(rows / 2);
+        let places_of = |fft: &BatchedFft<f32>, size: usize| {
+            let mut row_of_bin = vec![0u32; size];
+            for (row, frequency) in fft.frequencies().enumerate() {
+                row_of_bin[frequency] = row as u32;
+            }
+            row_of_bin
+        };
+        let row_of_bin = places_of(&forward, rows);
+        let row_of_half = places_of(&forward_half, rows / 2);
         let mut row_of_sample = vec![0u32; samples];
         for (row, sample) in inverse.frequencies().enumerate() {
             row_of_sample[sample] = row as u32;
         }
         let half = (rows.min(samples) / 2).max((BAND * rows as f64) as usize) as isize;
         let numbers: Vec<isize> = (1 - half..half).collect();
-        let bins = numbers
-            .iter()
-            .map(|&k| {
-                let row = row_of_bin[k.rem_euclid(rows as isize) as usize];
-                (row, k.rem_euclid(samples as isize) as u32)
-            })
-            .collect();
+        let bins = numbers.iter().map(|&k| {
+            let bin = k.rem_euclid(rows as isize) as usize;
+            let (sin, cos) = libm::sincos(-TAU * bin as f64 / rows as f64);
+            Bin {
+                cell: row_of_bin[bin],
+                cell_of_two: row_of_half[bin % (rows / 2)],
+                turn: Complex::new(cos as f32, sin as f32),
+                to: k.rem_euclid(samples as isize) as u32,
+            }
+        });
+        let bins = bins.collect();
         let templates = templates(spec, &design, filter, &numbers);
         let array = spec.array;
         let near_m = design.near_m(array);
@@ -170,6 +207,7 @@ impl GriddedLines {
             pulse_s: spec.pulse.duration_s,
             tolerance: spec.tolerance,
             forward,
+            forward_half,
             inverse,
             bins,
             templates,
@@ -204,7 +242,10 @@ impl GriddedLines {
     /// Makes room for every thread of the current pool.
     fn make_room(&mut self) {
         let threads = rayon::current_num_threads();
-        let fft_scratch = self.forward.scratch_len().max(self.inverse.scratch_len());
+        let fft_scratch = [&self.forward, &self.forward_half, &self.inverse]
+            .map(BatchedFft::scratch_len)
+            .into_iter()
+            .fold(0, usize::max);
         let State { geometry, work, .. } = &mut self.state;
         if work.len() < threads {
             geometry.resize_with(threads, Mutex::default);
@@ -269,6 +310,17 @@ impl GriddedLines {
         (plan.sample_count + 2 * extent) / payload + 1
     }
 
+    /// Parts of a slab of so many buckets.
+    fn parts(&self, buckets: usize) -> Parts {
+        let pulse_rows = self.pulse_s * self.rows_per_s();
+        let of_part = ((pulse_rows / PARTS_OF_PULSE) as usize / BUCKET_ROWS).max(1);
+        Parts {
+            parts: buckets.div_ceil(of_part),
+            // Of whole numbers, whose quotients lie a part of a bucket from the next one.
+            per_part: (1.0 + 1e-9) / of_part as f64,
+        }
+    }
+
     /// First sample of slab `s`.
     fn slab_origin(&self, s: usize) -> isize {
         let Design {
@@ -306,6 +358,9 @@ impl GriddedLines {
         let first_middle_s = first_s - extent as f64 / rate_hz;
         let per_payload = rate_hz / payload as f64;
         let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as usize + 1;
+        // Place of energies by slab, part and column.
+        let Parts { per_part, parts } = self.parts(buckets);
+        let width = 2 * reach + 1;
         let array = &self.array;
         let state = &mut self.state;
         if (state.nodes.len(), state.gain_nodes) != (count, gains) {
@@ -320,10 +375,7 @@ impl GriddedLines {
             state
                 .blocks
                 .extend((0..array.elements.div_ceil(LANES)).map(|block| {
-                    let lanes = match array.elements - block * LANES {
-                        ..=NARROW => NARROW,
-                        _ => LANES,
-                    };
+                    let lanes = lanes_for(array.elements - block * LANES);
                     let middle = (block * LANES) as f64 + 0.5 * (lanes as f64 - 1.0);
                     let x = (middle - 0.5 * (array.elements - 1) as f64) * per_element;
                     block_weights(nodes, gains, lanes, x, per_element)
@@ -335,11 +387,7 @@ impl GriddedLines {
             .compute(plan, array, transmit_leg, &state.along_m, gains, coarse_m);
         let batches = NodeTracks::batches(transmit_leg);
         if state.batches.len() < batches {
-            state.batches.resize_with(batches, || Batch {
-                chunk: EchoChunk::default(),
-                bucket: [NOWHERE; CHUNK],
-                counts: EchoCounts::default(),
-            });
+            state.batches.resize_with(batches, Batch::default);
         }
         let models_curvature = self.models_curvature;
         let max_curvature_rad = self.design.max_curvature_rad as f32;
@@ -357,7 +405,13 @@ impl GriddedLines {
                     .unwrap_or_else(PoisonError::into_inner);
                 let Solving { work, solved } = &mut *work;
                 batch.counts = tracks.batch(plan, array, transmit_leg, b, work, solved);
-                let Batch { chunk, bucket, .. } = batch;
+                let Batch {
+                    chunk,
+                    bucket,
+                    energy,
+                    energy_at,
+                    ..
+                } = batch;
                 let beyond = widest(
                     #[inline(always)]
                     || {
@@ -389,8 +443,16 @@ impl GriddedLines {
                                 & (i < solved.len);
                             let rest_s = after_s - slab / per_payload;
                             let at = (rest_s * buckets_per_s).max(0.0).min((buckets - 1) as f64);
-                            let all = (slab * buckets as f64 + at.floor()) as u32;
+                            let at = at.floor();
+                            let all = (slab * buckets as f64 + at) as u32;
                             bucket[i] = if inside { all } else { NOWHERE };
+                            let part = slab * parts as f64 + (at * per_part).floor();
+                            let column = chunk.doppler[gains / 2][i].round() + reach as f32;
+                            let column = column.max(0.0).min((width - 1) as f32);
+                            energy_at[i] = (part * width as f64 + f64::from(column)) as u32;
+                            let (gain, re, im) =
+                                (chunk.gain[gains / 2][i], chunk.re[i], chunk.im[i]);
+                            energy[i] = gain * gain * (re * re + im * im);
                             let fast = (chunk.doppler[gains / 2][i].abs() > most)
                                 | (models_curvature
                                     & (chunk.curvature_rad[i].abs() > max_curvature_rad));
@@ -430,6 +492,8 @@ impl GriddedLines {
     fn sort(&mut self, counts: &mut EchoCounts) {
         let per_s = self.rows_per_s();
         let Design { columns, reach, .. } = self.design;
+        let of_slab = (self.state.firsts.len() - 1) / self.state.slabs.len().max(1);
+        let Parts { parts, .. } = self.parts(of_slab.max(1));
         let beside = (BEYOND_SHARE / WRONG * self.tolerance * self.tolerance) as f32;
         let state = &mut self.state;
         let buckets = state.firsts.len() - 1;
@@ -437,11 +501,7 @@ impl GriddedLines {
         let per_slab = (buckets / slabs.max(1)).max(1);
         let width = 2 * reach + 1;
         let moving = reach > 0;
-        let (gains, middle) = (state.gain_nodes, state.gain_nodes / 2);
-        // Parts of a pulse, in buckets, and of a slab.
-        let pulse_rows = self.pulse_s * per_s;
-        let per_part = ((pulse_rows / PARTS_OF_PULSE) as usize / BUCKET_ROWS).max(1);
-        let parts = per_slab.div_ceil(per_part);
+        let gains = state.gain_nodes;
         if moving {
             state.energy.clear();
             state.energy.resize(slabs * parts * width, 0.0);
@@ -453,15 +513,7 @@ impl GriddedLines {
                 }
                 state.firsts[bucket as usize + 1] += 1;
                 if moving {
-                    let chunk = &batch.chunk;
-                    let gain = chunk.gain[middle][i];
-                    let power =
-                        gain * gain * (chunk.re[i] * chunk.re[i] + chunk.im[i] * chunk.im[i]);
-                    let column = chunk.doppler[middle][i].round() + reach as f32;
-                    let column = (column.max(0.0) as usize).min(width - 1);
-                    let (slab, bucket) = (bucket as usize / per_slab, bucket as usize % per_slab);
-                    let part = slab * parts + bucket / per_part;
-                    state.energy[part * width + column] += power;
+                    state.energy[batch.energy_at[i] as usize] += batch.energy[i];
                 }
             }
         }
@@ -624,10 +676,10 @@ impl GriddedLines {
             grid,
             scratch,
         } = work;
-        let lanes = block.lanes;
+        let (lanes, width) = (block.lanes, cell_lanes(block.lanes));
         let shape = self.shape(plan, slab, lanes);
         // Each task leaves zeros.
-        let stride = column_stride(shape.rows) * 2 * lanes;
+        let stride = shape.stride();
         let used = shape.columns * stride;
         if grid.len() < used {
             // Room for all columns of any block: a ping of the same size may use more of them.
@@ -642,72 +694,44 @@ impl GriddedLines {
             add(self.simd_level, &shape, block, chunk, located, grid);
         }
         output.clear();
-        output.resize_zeros(self.design.slab_samples * 2 * lanes);
+        output.resize_zeros(self.design.slab_samples * 2 * width);
         let output = output.numbers_mut();
         let first = (slab.first_column + template_reach(&self.design) as i32) as usize;
         let bins = self.bins.len();
         let templates = self.templates[first * bins..].chunks(TOGETHER * bins);
+        let forward = match cell_rows(lanes) {
+            1 => &self.forward,
+            _ => &self.forward_half,
+        };
         for (columns, templates) in grid.chunks_mut(TOGETHER * stride).zip(templates) {
             for column in columns.chunks_exact_mut(stride) {
                 let table = LaneTable {
                     table: column,
-                    stride: 2 * lanes,
+                    stride: 2 * width,
                     first: 0,
-                    lanes,
+                    lanes: width,
                     scratch,
                 };
-                transform_lanes(self.simd_level, &self.forward, table);
+                transform_lanes(self.simd_level, forward, table);
             }
-            self.simd_level.run(
-                #[inline(always)]
-                || match lanes {
-                    NARROW => self.apply_templates::<NARROW>(templates, columns, output),
-                    _ => self.apply_templates::<LANES>(templates, columns, output),
-                },
+            add_products(
+                self.simd_level,
+                &shape,
+                &self.bins,
+                templates,
+                columns,
+                output,
             );
             columns.fill(0.0);
         }
         let table = LaneTable {
             table: output,
-            stride: 2 * lanes,
+            stride: 2 * width,
             first: 0,
-            lanes,
+            lanes: width,
             scratch,
         };
         transform_lanes(self.simd_level, &self.inverse, table);
-    }
-
-    /// Adds up to [`TOGETHER`] columns, each row times its template, to the rows of the spectrum, with real and imaginary parts exchanged.
-    #[inline(always)]
-    fn apply_templates<const L: usize>(
-        &self,
-        templates: &[Complex<f32>],
-        columns: &[f32],
-        output: &mut [f32],
-    ) {
-        let stride = column_stride(self.design.slab_rows);
-        // Real parts and imaginary parts of each cell follow each other.
-        let parts = columns.as_chunks::<L>().0;
-        let output = output.as_chunks_mut::<L>().0;
-        let bins = self.bins.len();
-        for (bin, &(from, to)) in self.bins.iter().enumerate() {
-            let (mut re, mut im) = ([0.0f32; L], [0.0f32; L]);
-            let templates = templates[bin..].iter().step_by(bins);
-            let cells = parts[2 * from as usize..].chunks(2 * stride);
-            for (template, cell) in templates.zip(cells) {
-                let Complex { re: a, im: b } = *template;
-                let [x, y] = [&cell[0], &cell[1]];
-                for lane in 0..L {
-                    re[lane] += a * x[lane] - b * y[lane];
-                    im[lane] += a * y[lane] + b * x[lane];
-                }
-            }
-            let to = 2 * to as usize;
-            for lane in 0..L {
-                output[to][lane] += im[lane];
-                output[to + 1][lane] += re[lane];
-            }
-        }
     }
 
     /// Adds the slabs of each element, in order.
@@ -725,7 +749,7 @@ impl GriddedLines {
         iq.par_chunks_mut(count * LANES)
             .enumerate()
             .for_each(|(block, iq)| {
-                let (lanes, blocks) = (blocks[block].lanes, blocks.len());
+                let (width, blocks) = (cell_lanes(blocks[block].lanes), blocks.len());
                 iq.fill(Complex64::ZERO);
                 let elements = iq.len() / count;
                 for (s, slab) in slabs.iter().enumerate() {
@@ -737,11 +761,11 @@ impl GriddedLines {
                     let end = (slab.origin + self.design.slab_samples as isize).min(count as isize);
                     for k in begin..end {
                         let row = self.row_of_sample[(k - slab.origin) as usize] as usize;
-                        let cell = &output[row * 2 * lanes..][..2 * lanes];
+                        let cell = &output[row * 2 * width..][..2 * width];
                         for lane in 0..elements {
                             // Real and imaginary parts are exchanged, which makes the transform an inverse one.
                             let value =
-                                Complex64::new(cell[lanes + lane].into(), cell[lane].into());
+                                Complex64::new(cell[width + lane].into(), cell[lane].into());
                             iq[lane * count + k as usize] += value;
                         }
                     }

@@ -18,6 +18,7 @@
 //! - `design`: sizes from a tolerance, with predicted error and cost.
 //! - `windows`: the error in the worst window.
 //! - `spread`: the inner loop.
+//! - `products`: columns times templates.
 //! - `aligned`: its buffers.
 //! - `engine`: one ping. Start there.
 //!
@@ -34,6 +35,7 @@ mod engine;
 mod kernel;
 mod nodes;
 mod polynomials;
+mod products;
 mod spread;
 mod windows;
 

@@ -1,7 +1,7 @@
 //! The inner loop: echoes of one chunk onto the grid of one block of elements.
 //!
 //! A grid has columns of Doppler; a column has rows of delay; a cell has the real parts of [`LANES`] neighbouring elements (of [`NARROW`] in a narrow block) and then their
-//! imaginary parts.
+//! imaginary parts. A cell of a quarter block has two rows of [`QUARTER`] elements, which fill the lanes of a narrow one.
 
 use std::f32::consts::TAU;
 
@@ -21,12 +21,39 @@ use super::nodes::{BlockWeights, GAIN_TERMS};
 pub(super) const LANES: usize = 16;
 /// Elements of the last block of a line, if no more are left.
 pub(super) const NARROW: usize = 8;
+/// ... if no more are left.
+pub(super) const QUARTER: usize = 4;
 /// Numbers of a cell.
 pub(super) const CELL: usize = 2 * LANES;
-/// Cells between the columns of a grid with so many rows. The cells of one row in neighbouring columns lie 8 cells apart but for multiples of the page,
+
+/// Lanes of a block where so many elements of the line are left.
+pub(super) const fn lanes_for(left: usize) -> usize {
+    if left <= QUARTER {
+        QUARTER
+    } else if left <= NARROW {
+        NARROW
+    } else {
+        LANES
+    }
+}
+
+/// Lanes of a cell of a block of so many lanes.
+pub(super) const fn cell_lanes(lanes: usize) -> usize {
+    match lanes {
+        LANES => LANES,
+        _ => NARROW,
+    }
+}
+
+/// Rows of such a cell.
+pub(super) const fn cell_rows(lanes: usize) -> usize {
+    cell_lanes(lanes) / lanes
+}
+
+/// Cells between the columns of a grid with so many of them. The cells of one row in neighbouring columns lie 8 cells apart but for multiples of the page,
 /// so that they do not share sets of the innermost cache.
-pub(super) fn column_stride(rows: usize) -> usize {
-    rows.next_multiple_of(32) + 8
+pub(super) fn column_stride(cells: usize) -> usize {
+    cells.next_multiple_of(32) + 8
 }
 
 /// The middle of a block of so many elements lies at this lane.
@@ -68,7 +95,7 @@ impl Default for EchoChunk {
 /// Numbers that all echoes of a task share.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shape {
-    /// Elements of the block: [`LANES`] or [`NARROW`].
+    /// Elements of the block: [`LANES`], [`NARROW`] or [`QUARTER`].
     pub lanes: usize,
     /// Nodes with delays, and those with gains.
     pub nodes: usize,
@@ -90,15 +117,27 @@ pub(super) struct Shape {
     pub turns: f64,
 }
 
+impl Shape {
+    /// Cells of a column.
+    pub(super) fn cells(&self) -> usize {
+        self.rows / cell_rows(self.lanes)
+    }
+
+    /// Numbers from one column to the next.
+    pub(super) fn stride(&self) -> usize {
+        column_stride(self.cells()) * 2 * cell_lanes(self.lanes)
+    }
+}
+
 /// A chunk at one block.
 pub(super) struct Located {
-    /// Echoes by number of rows, so that the processor predicts the loop over them; those without rows are left out.
+    /// Echoes by number of cells, so that the processor predicts the loop over them; those without cells are left out.
     len: usize,
     order: [u16; CHUNK + 1],
-    /// First row and number of rows.
-    row: [u32; CHUNK],
-    rows: [u32; CHUNK],
-    /// Middle of the block after the first row, rows; its change per element, element squared and cubed.
+    /// First cell and number of cells.
+    cell: [u32; CHUNK],
+    cells: [u32; CHUNK],
+    /// Middle of the block after the first row of the first cell, rows; its change per element, element squared and cubed.
     x: [f32; CHUNK],
     slope: [f32; CHUNK],
     curvature: [f32; CHUNK],
@@ -123,8 +162,8 @@ impl Default for Located {
         Self {
             len: 0,
             order: [0; CHUNK + 1],
-            row: none,
-            rows: none,
+            cell: none,
+            cells: none,
             x: zero,
             slope: zero,
             curvature: zero,
@@ -141,7 +180,7 @@ impl Default for Located {
     }
 }
 
-/// Adds the echoes of `chunk` to the grid of a block: `columns * column_stride(rows)` cells.
+/// Adds the echoes of `chunk` to the grid of a block: [`Shape::stride`] numbers a column.
 pub(super) fn add(
     simd_level: SimdLevel,
     shape: &Shape,
@@ -150,10 +189,9 @@ pub(super) fn add(
     located: &mut Located,
     grid: &mut [f32],
 ) {
-    let cells = shape.columns * column_stride(shape.rows);
-    assert_eq!(grid.len(), cells * 2 * shape.lanes, "grid");
+    assert_eq!(grid.len(), shape.columns * shape.stride(), "grid");
     assert!(
-        matches!(shape.lanes, LANES | NARROW),
+        matches!(shape.lanes, LANES | NARROW | QUARTER),
         "{} lanes",
         shape.lanes
     );
@@ -163,22 +201,25 @@ pub(super) fn add(
         shape.taps,
         shape.columns
     );
-    let narrow = shape.lanes == NARROW;
     match simd_level.kind() {
         // SAFETY (of all): a `SimdLevel` of this kind exists only on processors with the features; `locate` keeps all rows in the grid.
         #[cfg(target_arch = "x86_64")]
-        Kind::Avx512 if !narrow => unsafe { add_avx512(shape, block, chunk, located, grid) },
+        Kind::Avx512 if shape.lanes == LANES => unsafe {
+            add_avx512(shape, block, chunk, located, grid)
+        },
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 | Kind::Avx2 => unsafe {
-            match narrow {
-                true => add_avx2::<NARROW>(shape, block, chunk, located, grid),
-                false => add_avx2::<LANES>(shape, block, chunk, located, grid),
+            match shape.lanes {
+                QUARTER => add_avx2::<QUARTER>(shape, block, chunk, located, grid),
+                NARROW => add_avx2::<NARROW>(shape, block, chunk, located, grid),
+                _ => add_avx2::<LANES>(shape, block, chunk, located, grid),
             }
         },
         _ => unsafe {
-            match narrow {
-                true => add_on::<[f32; 8], NARROW, false>(shape, block, chunk, located, grid),
-                false => add_on::<[f32; 8], LANES, false>(shape, block, chunk, located, grid),
+            match shape.lanes {
+                QUARTER => add_on::<[f32; 8], QUARTER, false>(shape, block, chunk, located, grid),
+                NARROW => add_on::<[f32; 8], NARROW, false>(shape, block, chunk, located, grid),
+                _ => add_on::<[f32; 8], LANES, false>(shape, block, chunk, located, grid),
             }
         },
     }
@@ -250,21 +291,21 @@ fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
-/// Sorts the echoes by number of rows.
+/// Sorts the echoes by number of cells.
 #[inline(always)]
 fn order(len: usize, located: &mut Located) {
-    let rows = &located.rows[..len.min(CHUNK)];
+    let cells = &located.cells[..len.min(CHUNK)];
     let (mut least, mut most) = (u32::MAX, 0);
-    for &rows in rows {
-        least = least.min(rows);
-        most = most.max(rows);
+    for &cells in cells {
+        least = least.min(cells);
+        most = most.max(cells);
     }
     let mut end = 0;
     for wanted in least.max(1)..=most {
         // Without a branch.
-        for (i, &rows) in rows.iter().enumerate() {
+        for (i, &cells) in cells.iter().enumerate() {
             located.order[end.min(CHUNK)] = i as u16;
-            end += usize::from(rows == wanted);
+            end += usize::from(cells == wanted);
         }
     }
     located.len = end;
@@ -307,13 +348,22 @@ fn locate<const L: usize, const FUSED: bool>(
         let low = least(greater(value - reach - half_width, 0.0), last);
         let whole = (low + ROUND) - ROUND;
         let first = whole + if whole < low { 1.0 } else { 0.0 };
+        let cell = match cell_rows(L) {
+            1 => first,
+            _ => (0.5 * first - 0.25 + ROUND) - ROUND,
+        };
+        let first = cell_rows(L) as f64 * cell;
         let high = least(value + reach + half_width, shape.rows as f64 - 1.0);
         let rows = greater(high - first, -1.0) + 1.0;
         let whole = (rows + ROUND) - ROUND;
         let rows = whole - if whole > rows { 1.0 } else { 0.0 };
+        let cells = match cell_rows(L) {
+            1 => rows,
+            _ => (0.5 * rows + 0.25 + ROUND) - ROUND,
+        };
         let cycles = -(shape.turns_per_row * value + shape.turns);
-        out.row[i] = (first + WHOLE).to_bits() as u32;
-        out.rows[i] = (rows + WHOLE).to_bits() as u32;
+        out.cell[i] = (cell + WHOLE).to_bits() as u32;
+        out.cells[i] = (cells + WHOLE).to_bits() as u32;
         out.x[i] = (value - first) as f32;
         out.turns[i] = (cycles - ((cycles + ROUND) - ROUND)) as f32;
     }
@@ -427,23 +477,26 @@ unsafe fn spread<V: Lanes<Number = f32>, const L: usize, const TAPS: usize>(
     located: &Located,
     grid: &mut [f32],
 ) {
-    let stride = column_stride(shape.rows) * 2 * L;
+    let (width, cell_rows) = (cell_lanes(L), cell_rows(L));
+    let stride = shape.stride();
     let per_half = 2.0 / shape.width;
     let turns_per_row = shape.turns_per_row as f32;
-    let mut lanes = [0.0f32; LANES];
-    for (lane, place) in lanes.iter_mut().enumerate() {
-        *place = lane as f32 - middle(L);
+    // Element of every lane from the middle of the block, and its row, half widths.
+    let (mut elements, mut rows_before) = ([0.0f32; LANES], [0.0f32; LANES]);
+    for (lane, (element, row)) in elements.iter_mut().zip(&mut rows_before).enumerate() {
+        *element = (lane % L) as f32 - middle(L);
+        *row = (lane / L) as f32 * per_half;
     }
     for &i in &located.order[..located.len.min(CHUNK)] {
         let i = i as usize % CHUNK;
-        let (rows, first) = (located.rows[i] as usize, located.row[i] as usize);
-        // Checks once what the rows below write.
-        let begin = located.column[i] as usize * stride + first * 2 * L;
-        let cells = &mut grid[begin..begin + (TAPS - 1) * stride + rows * 2 * L];
-        for part in (0..L).step_by(V::COUNT) {
-            // SAFETY: the caller guarantees V; `part` + V's lanes <= L; rows and taps lie within `cells`.
+        let (count, first) = (located.cells[i] as usize, located.cell[i] as usize);
+        // Checks once what the cells below write.
+        let begin = located.column[i] as usize * stride + first * 2 * width;
+        let cells = &mut grid[begin..begin + (TAPS - 1) * stride + count * 2 * width];
+        for part in (0..width).step_by(V::COUNT) {
+            // SAFETY: the caller guarantees V; `part` + V's lanes <= `width`; rows and taps lie within `cells`.
             unsafe {
-                let place = V::load(lanes.as_ptr().add(part));
+                let place = V::load(elements.as_ptr().add(part));
                 let off = V::splat(located.cubic[i])
                     .mul_add(place, V::splat(located.curvature[i]))
                     .mul_add(place, V::splat(located.slope[i]))
@@ -472,19 +525,22 @@ unsafe fn spread<V: Lanes<Number = f32>, const L: usize, const TAPS: usize>(
                     }
                 }
                 let (one, zero) = (V::splat(1.0), V::splat(0.0));
-                let step = V::splat(per_half);
-                let mut z = off.add(V::splat(located.x[i])).mul(step);
+                let step = V::splat(cell_rows as f32 * per_half);
+                let mut z = off.add(V::splat(located.x[i])).mul(V::splat(per_half));
+                if cell_rows > 1 {
+                    z = z.sub(V::load(rows_before.as_ptr().add(part)));
+                }
                 let mut to = cells.as_mut_ptr().add(part);
-                for _ in 0..rows {
+                for _ in 0..count {
                     let t = z.neg_mul_add(z, one).max(zero);
                     let k = horner(&shape.terms, t).mul(t);
                     for (tap, (re, im)) in parts.iter().enumerate() {
-                        let (at_re, at_im) = (to.add(tap * stride), to.add(tap * stride + L));
+                        let (at_re, at_im) = (to.add(tap * stride), to.add(tap * stride + width));
                         re.mul_add(k, V::load(at_re)).store(at_re);
                         im.mul_add(k, V::load(at_im)).store(at_im);
                     }
                     z = z.sub(step);
-                    to = to.wrapping_add(2 * L);
+                    to = to.wrapping_add(2 * width);
                 }
             }
         }

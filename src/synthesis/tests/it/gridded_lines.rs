@@ -131,36 +131,66 @@ fn every_window_keeps_its_tolerance_and_is_not_much_better() {
     assert!(ratios[ratios.len() / 2] <= 5.0, "{ratios:?}");
 }
 
+/// The last block of 40 elements has 8, that of 20 has 4.
 #[test]
 fn threads_do_not_change_a_bit_and_simd_levels_little() {
-    let drawn = Draw {
-        velocity_m_per_s: DVec3::new(3.0, 0.3, 0.3),
-        ..SCENE
-    };
-    let scene = short(drawn, 0.4e-3, 0.0);
-    let by = |threads: usize, simd_level: SimdLevel| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.expect("threads").install(|| {
-            let mut engine = made(&scene, 1e-3, simd_level).expect("within reach");
-            let first = samples(&scene, &mut engine);
-            assert!(
-                first == samples(&scene, &mut engine),
-                "the second ping differs"
-            );
-            first
-        })
-    };
-    let one = by(1, SimdLevel::best());
-    for threads in [2, 8] {
-        assert!(by(threads, SimdLevel::best()) == one, "{threads} threads");
+    for elements in [40, 20] {
+        let drawn = Draw {
+            elements,
+            velocity_m_per_s: DVec3::new(3.0, 0.3, 0.3),
+            ..SCENE
+        };
+        let scene = short(drawn, 0.4e-3, 0.0);
+        let by = |threads: usize, simd_level: SimdLevel| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            pool.expect("threads").install(|| {
+                let mut engine = made(&scene, 1e-3, simd_level).expect("within reach");
+                let first = samples(&scene, &mut engine);
+                assert!(
+                    first == samples(&scene, &mut engine),
+                    "the second ping differs"
+                );
+                first
+            })
+        };
+        let one = by(1, SimdLevel::best());
+        for threads in [2, 8] {
+            assert!(by(threads, SimdLevel::best()) == one, "{threads} threads");
+        }
+        let scale = one.iter().map(|v| v.norm()).fold(0.0, f64::max);
+        for simd_level in SimdLevel::available() {
+            let other = by(1, simd_level);
+            let off = one.iter().zip(&other).map(|(a, b)| (a - b).norm());
+            let off = off.fold(0.0, f64::max) / scale;
+            println!("{elements} elements, {simd_level:?}: {off:.1e}");
+            assert!(off < 1e-5, "{simd_level:?}: {off:e}");
+        }
     }
-    let scale = one.iter().map(|v| v.norm()).fold(0.0, f64::max);
-    for simd_level in SimdLevel::available() {
-        let other = by(1, simd_level);
-        let off = one.iter().zip(&other).map(|(a, b)| (a - b).norm());
-        let off = off.fold(0.0, f64::max) / scale;
-        println!("{simd_level:?}: {off:.1e}");
-        assert!(off < 1e-5, "{simd_level:?}: {off:e}");
+}
+
+/// Every kind of last block, against the direct sum at its first and last element.
+#[test]
+fn lines_of_any_number_of_elements_keep_the_tolerance() {
+    for elements in [2, 4, 5, 8, 9, 16, 17, 20, 21, 35] {
+        let drawn = Draw {
+            elements,
+            velocity_m_per_s: DVec3::new(5.0, 0.3, 0.3),
+            ..SCENE
+        };
+        let scene = short(drawn, 0.4e-3, 0.0);
+        let tolerance = 1e-3;
+        let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
+        let iq = samples(&scene, &mut engine);
+        for element in [(elements - 1) / 16 * 16, elements - 1] {
+            let want = truth(&scene, element, false);
+            let got = &iq[element * scene.plan.sample_count..][..scene.plan.sample_count];
+            let error = worst(got, &want, 0.4e-3);
+            println!("element {element} of {elements}: {error:.1e}");
+            assert!(
+                error <= tolerance,
+                "element {element} of {elements}: {error:e}"
+            );
+        }
     }
 }
 
