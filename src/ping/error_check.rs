@@ -43,7 +43,7 @@ const SPAN: usize = 64;
 const SPAN_S: f64 = 1e-3;
 
 /// Samples of a window: a pulse long, but of [`MIN_WINDOW`] samples at least.
-fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
+pub(crate) fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
     (pulse_s * rate_hz).ceil().max(MIN_WINDOW) as usize
 }
 

@@ -168,8 +168,12 @@ pub fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
 
 /// The sum of the echoes at every element.
 pub fn synthesise(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
-    let pipeline = &mut rig.sonars[sonar].pipeline;
-    pipeline.synthesise(&slot.plan, &rig.scatterers, &mut slot.output);
+    let unit = &mut rig.sonars[sonar];
+    let PingSlot { plan, output } = slot;
+    unit.pipeline.synthesise(plan, &rig.scatterers, output);
+    if let Some(method_selector) = &mut unit.method_selector {
+        method_selector.after_synthesis(plan, &rig.scatterers, &output.elements);
+    }
 }
 
 /// The receiver of every element: noise, gain, converter and faults.

@@ -118,6 +118,24 @@ pub struct Candidate {
     pub parts: [Part; 6],
     /// Displacement in images.
     pub displaced: Displaced,
+    /// Errors of an echo by an engine that makes all elements one by one.
+    pub echo_error: Option<EchoError>,
+}
+
+/// Errors of one echo by an engine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EchoError {
+    /// rms over all places on its grid.
+    pub mean: f64,
+    /// In the worst window.
+    pub window: f64,
+}
+
+impl EchoError {
+    /// In the worst window of a ping, `fading` as in [`EchoStatistics`](echotank_synthesis::error_model::EchoStatistics).
+    pub(crate) fn of_ping(self, fading: f64) -> f64 {
+        self.window.max(fading * self.mean)
+    }
 }
 
 impl Candidate {
@@ -346,6 +364,7 @@ mod tests {
             why: "so it is".into(),
         };
         Candidate {
+            echo_error: None,
             choice: Choice {
                 model: ModelChoice {
                     path: PathModel::KSegment,

@@ -12,6 +12,7 @@ use std::sync::{Mutex, PoisonError};
 
 use num_complex::Complex64;
 
+use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::{Decimator, grid_ahead};
 use crate::array::gridded::{
     CostEstimate, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
@@ -91,6 +92,11 @@ impl SlabDesign {
     /// Mean error over echoes; see [`Gridded1d::mean_error`].
     pub fn mean_error(&self) -> f64 {
         self.engine.mean_error()
+    }
+
+    /// An echo with its error; see [`Gridded1d::echo_at_rest`].
+    pub fn echo_at_rest(&self) -> Option<&EchoProfile> {
+        self.engine.echo_at_rest()
     }
 
     /// Cost of a whole record; see [`Gridded1d::cost_estimate`] for the arguments.

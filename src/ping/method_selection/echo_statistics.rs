@@ -12,7 +12,7 @@ use crate::method_selection::{MotionScale, fades};
 use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
-use echotank_core::model::Synthesis;
+use echotank_core::model::{PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -24,14 +24,14 @@ use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 /// predict smaller errors: 5,000 a path error 31 % below that of 20,000 with `line256.toml`.
 pub const SAMPLE_SIZE: usize = 20_000;
 /// Instants at which an element's motion is tabled.
-const INSTANTS: usize = 64;
+pub(super) const INSTANTS: usize = 64;
 /// ... for [`echo_peaks`], which looks at no more than so many scatterers.
 const FEW_INSTANTS: usize = 8;
 const FEW_SCATTERERS: usize = 400;
 /// Rounding of finite differences of velocities, m/s^2.
 const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.
-const SAMPLED: f64 = 1.1;
+pub(super) const SAMPLED: f64 = 1.1;
 
 /// The same where echoes overlap, whose energy is not that of Gaussian samples: with [`SAMPLED`] alone, 2 of 81 rigs of `tools/points_random.py`
 /// were 2 % above the prediction.
@@ -42,7 +42,9 @@ const PARTS: usize = 4;
 
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
 /// acceleration, turning, change of acceleration, unsteadiness.
-const QUANTITIES: usize = 8;
+pub(super) const QUANTITIES: usize = 8;
+/// The same, and last the distance of the track from the path model, where that is known.
+pub(super) const TRACKED: usize = QUANTITIES + 1;
 /// These quantities.
 pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] {
     [
@@ -58,7 +60,7 @@ pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] 
 }
 
 /// How their phases grow within an echo, in the order of the quantities.
-const GROWTH: [Growth; QUANTITIES] = [
+pub(super) const GROWTH: [Growth; TRACKED] = [
     Growth::Constant,
     Growth::Linear,
     Growth::Square,
@@ -67,11 +69,12 @@ const GROWTH: [Growth; QUANTITIES] = [
     Growth::Constant,
     Growth::Constant,
     Growth::Unsteady,
+    Growth::Constant,
 ];
 
 /// A phase within an echo, over the share t of the pulse.
 #[derive(Clone, Copy)]
-enum Growth {
+pub(super) enum Growth {
     Constant,
     /// t and t^2, each with a mean square of 1 over the pulse.
     Linear,
@@ -83,7 +86,7 @@ enum Growth {
     Unsteady,
 }
 
-const GROWTHS: usize = 5;
+pub(super) const GROWTHS: usize = 5;
 
 impl Growth {
     const ALL: [Self; GROWTHS] = [
@@ -109,18 +112,20 @@ impl Growth {
 const STEPS: usize = 128;
 
 /// The energy of a pulse up to an instant, of a mean of 1: by itself, times each [`Growth`], and times its square. Flanks have little.
-struct Energies {
+pub(super) struct Energies {
+    /// Mean square of the pulse.
+    pub mean: f64,
     alone: [f64; STEPS + 1],
     grown: [[f64; STEPS + 1]; GROWTHS],
     squared: [[f64; STEPS + 1]; GROWTHS],
     /// Of a window that holds no more than the end of an echo, the worst error over the rms of the last part of the echo.
-    last: [f64; GROWTHS],
+    pub last: [f64; GROWTHS],
     /// That rms.
     last_part: [f64; GROWTHS],
 }
 
 impl Energies {
-    fn new(pulse: &Pulse) -> Self {
+    pub(super) fn new(pulse: &Pulse) -> Self {
         let step = 1.0 / STEPS as f64;
         let levels: [f64; STEPS] = std::array::from_fn(|i| {
             let t = (i as f64 + 0.5) * step;
@@ -150,6 +155,7 @@ impl Energies {
             worst / last_part[g]
         });
         Self {
+            mean,
             alone,
             grown,
             squared,
@@ -159,7 +165,7 @@ impl Energies {
     }
 
     /// Counts in windows with no more than the end of an echo also how phases displace flanks and the tail of the receiver filter.
-    fn with_displaced_ends(mut self, spec: &SonarSpec, plan: &PingPlan) -> Self {
+    pub(super) fn with_displaced_ends(mut self, spec: &SonarSpec, plan: &PingPlan) -> Self {
         let c = sound_speed_step_up(plan.sound_speed_m_per_s);
         let filter = filter_design(spec, Synthesis::Direct, c);
         let shapes: [fn(f64) -> f64; GROWTHS] = [
@@ -191,8 +197,8 @@ fn between(table: &[f64; STEPS + 1], (from, to): (f64, f64)) -> f64 {
 }
 
 /// A window with fewer echoes than this, by their energies, is one echo or the end of one; with fewer than the second, mostly.
-const ALONE: f64 = 1.001;
-const SINGLE: f64 = 1.25;
+pub(super) const ALONE: f64 = 1.001;
+pub(super) const SINGLE: f64 = 1.25;
 
 /// All points and targets, and of the ground every so many, about `among` of them: each with how many it stands for.
 pub fn sampled(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (usize, f64)> {
@@ -207,30 +213,30 @@ pub fn sampled(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (u
 
 /// What sounds in a part of a window: energy, and the weighted sums and squares of the quantities of [`EchoStatistics`].
 #[derive(Clone, Copy, Default)]
-struct Part {
-    energy: f64,
-    sums: [f64; QUANTITIES],
-    squares: [f64; QUANTITIES],
+pub(super) struct Part {
+    pub energy: f64,
+    pub sums: [f64; TRACKED],
+    pub squares: [f64; TRACKED],
     /// Squares of the component across the array and of the closing speed of whole echoes.
     across2: f64,
     closing2: f64,
     /// Of the loudest echo, all of it, and what of it sounds here.
-    loudest: f64,
-    loudest_here: f64,
+    pub loudest: f64,
+    pub loudest_here: f64,
     /// What of the energy is in the first or last quarter of an echo.
-    ends: f64,
+    pub ends: f64,
     /// Sum of the products of the energies of two different echoes, from above: what interferes.
     mixed: f64,
     /// Of the echoes that begin here: how many, their energy, and the sum of its squares.
     echoes: f64,
-    begun: f64,
+    pub begun: f64,
     begun2: f64,
 }
 
 impl Part {
-    fn and(mut self, other: &Self) -> Self {
+    pub(super) fn and(mut self, other: &Self) -> Self {
         self.energy += other.energy;
-        for q in 0..QUANTITIES {
+        for q in 0..TRACKED {
             self.sums[q] += other.sums[q];
             self.squares[q] += other.squares[q];
         }
@@ -411,6 +417,8 @@ pub fn echo_statistics(
         spread: 1.0
             + (spread(plan, window_s, windows * elements, crowd) - 1.0) * (1.0 - 1.0 / crowd),
         fading,
+        tails: f64::INFINITY,
+        off_path_m: None,
         strongest_share,
         echoes,
     })
@@ -426,8 +434,8 @@ fn spread(plan: &PingPlan, window_s: f64, looks: usize, crowd: f64) -> f64 {
 
 /// How a ping's echo moves, along its rays.
 struct EchoMotion {
-    /// In the order of [`EchoStatistics`].
-    values: [f64; QUANTITIES],
+    /// In the order of [`EchoStatistics`], and the distance from the path model.
+    values: [f64; TRACKED],
     /// Across the array.
     across_m_per_s: f64,
 }
@@ -545,7 +553,7 @@ const NEAR_LINE: f64 = 0.9;
 const RESTING: f64 = 1e-6;
 
 /// One element with its transmitter, through a ping.
-struct ReceivingElement {
+pub(super) struct ReceivingElement {
     transmit_m: DVec3,
     transmit_m_per_s: DVec3,
     transmit_m_per_s2: DVec3,
@@ -557,6 +565,10 @@ struct ReceivingElement {
     one_way: OneWay,
     /// Way along the array from this element to the last one on its other side, metres.
     line_m: f64,
+    /// On the body.
+    arm_m: DVec3,
+    /// Whether the plan has the path model of the ping.
+    knows_path: bool,
     pulse_s: f64,
     step_s: f64,
     at: Vec<At>,
@@ -682,7 +694,7 @@ struct At {
 }
 
 impl ReceivingElement {
-    fn new(
+    pub(super) fn new(
         spec: &SonarSpec,
         plan: &PingPlan,
         transmit: &TransmitArray,
@@ -750,6 +762,8 @@ impl ReceivingElement {
             element: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             pulse_s: plan.pulse.duration_s,
+            arm_m,
+            knows_path: false,
             line_m: {
                 let to_last_m = (array.elements - 1 - element) as f64 * array.spacing_m;
                 let to_first_m = -(element as f64) * array.spacing_m;
@@ -776,6 +790,44 @@ impl ReceivingElement {
                 })
                 .collect(),
         }
+    }
+
+    /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`].
+    pub(super) fn alone(self) -> Self {
+        Self {
+            line_m: 0.0,
+            knows_path: true,
+            ..self
+        }
+    }
+
+    /// How far this element is from where the plan's path model has it, at an instant of the ping.
+    fn off_path_m(&self, plan: &PingPlan, t_s: f64) -> DVec3 {
+        let segments = plan.segments.as_slice();
+        let origin_m = segments[0].position_m;
+        let pose_at = |t_s: f64| plan.trajectory.pose_from(origin_m, t_s);
+        let point_m = |t_s: f64| pose_at(t_s).point_m(self.arm_m);
+        let before = segments.partition_point(|segment| segment.start_s <= t_s);
+        let segment = &segments[before.max(1) - 1];
+        let at_m = match plan.model.path {
+            PathModel::Continuous => return DVec3::ZERO,
+            PathModel::StopAndHop => point_m(0.0),
+            PathModel::Polyline => {
+                let arm_m = segment.world_from_body * self.arm_m;
+                let moved_m = segment.velocity_m_per_s * (t_s - segment.start_s);
+                segment.position_m - origin_m + moved_m + arm_m
+            }
+            PathModel::KSegment => {
+                let step_s = segments
+                    .get(1)
+                    .map_or(plan.model.segment_s, |next| next.start_s);
+                let share = (t_s - segment.start_s) / step_s;
+                let (begin_m, end_m) =
+                    (point_m(segment.start_s), point_m(segment.start_s + step_s));
+                begin_m + (end_m - begin_m) * share
+            }
+        };
+        point_m(t_s) - at_m
     }
 
     /// The way to a scatterer and back.
@@ -867,12 +919,13 @@ impl ReceivingElement {
                     .max(at.change_m_per_s2.dot(ray.back).abs()),
                 0.5 * (self.transmit_unsteady_m_per_s2.dot(ray.out)
                     + at.unsteady_m_per_s2.dot(ray.back)),
+                0.0,
             ],
             across_m_per_s: closing_back - v_back.dot(at.axis) * at.axis.dot(ray.back),
         }
     }
 
-    fn accumulate(
+    pub(super) fn accumulate(
         &self,
         plan: &PingPlan,
         scatterers: &Scatterers,
@@ -924,7 +977,11 @@ impl ReceivingElement {
                 * self.one_way.amplitude(ray.out_range_m)
                 * self.one_way.amplitude(ray.back_range_m);
             let energy = weight * amplitude * amplitude * scatterers.strength[i].norm_sqr();
-            let echo = self.motion(&ray);
+            let mut echo = self.motion(&ray);
+            if self.knows_path {
+                let heard_s = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s;
+                echo.values[QUANTITIES] = self.off_path_m(plan, heard_s).dot(ray.back);
+            }
             let first = &mut parts[begins as usize];
             first.echoes += weight;
             first.begun += energy;

@@ -21,7 +21,8 @@ use crate::element_synthesis::FASTEST_PLATFORM_M_PER_S;
 use crate::engines::HARDEST_M_PER_S2;
 use crate::method_selection::costs::Costs;
 use crate::method_selection::echo_statistics::echo_peaks;
-use crate::method_selection::promise::Promise;
+use crate::method_selection::promise::{PingPromise, Promise};
+use crate::method_selection::sample_fades::WindowStatistics;
 use crate::method_selection::{
     Memo, MotionScale, Scene, goal, rank_with_conditions, sample, with_choice,
 };
@@ -32,7 +33,7 @@ use crate::schedule::PingOrder;
 use crate::threads::{pool, run_in_background};
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::model::{ModelChoice, Synthesis};
-use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
+use echotank_core::ping::{ElementFrame, ErrorCheck, MethodMark, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
 use echotank_synthesis::error_model::Conditions;
@@ -67,6 +68,8 @@ pub struct MethodSelector {
     promise: Option<Promise>,
     /// Of the ping that is being made.
     ping_error: f64,
+    ping_promise: Option<PingPromise>,
+    windows: WindowStatistics,
     /// Settings of the current selection; `None` before the first.
     selected_for: Option<SonarSettings>,
     /// Block of the newest ping, and the largest motion of the two blocks before and of this one so far.
@@ -139,6 +142,8 @@ impl MethodSelector {
             },
             promise: None,
             ping_error: f64::NAN,
+            ping_promise: None,
+            windows: WindowStatistics::default(),
             spec: spec.clone(),
             medium: medium.clone(),
             costs,
@@ -186,6 +191,7 @@ impl MethodSelector {
 
     /// Predicts the error of a ping that is about to be made, and replaces its path model by a more exact one if the ping needs that.
     pub fn at_ping(&mut self, plan: &mut PingPlan, scatterers: &Scatterers) {
+        self.ping_promise = None;
         let Some(promise) = &self.promise else {
             return;
         };
@@ -197,14 +203,38 @@ impl MethodSelector {
         }
         // A selection that misses the tolerance is no reason to call every ping an exception.
         let expected = self.mark.predicted_error.max(goal.tolerance);
-        let (path, segment_s, error) = promise.of_ping(&self.spec, plan, scatterers, expected);
-        plan.model.path = path;
-        if segment_s != plan.model.segment_s {
-            plan.model.segment_s = segment_s;
+        let ping = promise.of_ping(&self.spec, plan, scatterers, expected);
+        plan.model.path = ping.path;
+        if ping.segment_s != plan.model.segment_s {
+            plan.model.segment_s = ping.segment_s;
             let window_s = plan.window_s(self.spec.receiver.sample_rate_hz);
-            polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
+            polyline(
+                &plan.trajectory,
+                window_s,
+                ping.segment_s,
+                &mut plan.segments,
+            );
         }
-        self.ping_error = error;
+        self.ping_error = ping.error;
+        self.ping_promise = Some(ping);
+    }
+
+    /// Predicts the error of a ping again, now that its samples are made: they tell how far its windows fade.
+    pub fn after_synthesis(
+        &mut self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        frames: &[ElementFrame],
+    ) {
+        // Where parts of lines or other pulses sound, the samples are not those of the echoes of this pulse at these elements.
+        let is_plain = self.choice.part_elements == 1 && self.spec.more_pulses.is_empty();
+        if let (Some(promise), Some(mut ping)) = (&self.promise, self.ping_promise.take())
+            && is_plain
+        {
+            let of = (&mut ping, &mut self.windows);
+            promise.of_samples(&self.spec, plan, scatterers, frames, of);
+            self.ping_error = ping.error;
+        }
     }
 
     /// Whether a failed error check changes the methods (at first it does). Otherwise no ping depends on the checks of those before it.

@@ -12,9 +12,11 @@ pub mod live;
 mod moving;
 pub mod parts;
 mod promise;
+mod resting;
+mod sample_fades;
 mod walked;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, filter_design, receiver_filter};
@@ -25,8 +27,11 @@ use crate::method_selection::culled::culling;
 use crate::method_selection::echo_statistics::{Shares, quantities};
 use crate::method_selection::moving::{IN_SELECTION, moving_error, moving_work, sum_error};
 use crate::method_selection::parts::{Parting, partings};
+use crate::method_selection::resting::{RestingPing, is_at_rest};
 use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
-use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
+use crate::methods::{
+    Candidate, Choice, Displaced, EchoError, Family, Goal, Part, Ranking, choose,
+};
 use crate::refraction::refraction_error;
 use crate::work::{Figure, Work};
 use echotank_config::spec::{MediumSpec, SonarSpec, SynthesisOutput};
@@ -34,6 +39,7 @@ use echotank_core::arrays::{Pattern, ReceiverFilter};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::Scatterers;
+use echotank_synthesis::array::echo_profile::EchoProfile;
 use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points};
 use echotank_synthesis::array::filter::{Decimator, FilterDesign};
 use echotank_synthesis::array::gridded::{CostEstimate, shared_out};
@@ -294,6 +300,8 @@ struct CandidateBuilder<'a> {
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
     memo: &'a Memo,
+    /// The echoes of a platform at rest; none if it moves, or if they are too many.
+    resting: OnceLock<Option<RestingPing>>,
 }
 
 /// What an engine promises and costs.
@@ -358,7 +366,36 @@ impl<'a> CandidateBuilder<'a> {
             refraction_error: refraction_error(spec, scene.plan, scene.scatterers),
             moving_error: moving_error(spec, scene.plan, scene.scatterers, IN_SELECTION),
             culling: culling(scene),
+            resting: OnceLock::new(),
         }
+    }
+
+    /// Whether all pings have the same echoes, which are known. Engines without Doppler are predicted from them: should the platform begin to move, the
+    /// Doppler that they leave out exceeds any other error.
+    fn is_at_rest(&self) -> bool {
+        let Scene {
+            spec,
+            scatterers,
+            count,
+            motion_scale,
+            ..
+        } = self.scene;
+        let all_points = *count == scatterers.len() && scatterers.moving.is_empty();
+        let plain = self.parting.is_none() && spec.more_pulses.is_empty();
+        let straight = self.refraction_error == 0.0;
+        all_points && plain && straight && is_at_rest(&self.conditions, motion_scale)
+    }
+
+    /// The echoes of a platform at rest, `echo` one by any engine.
+    fn resting(&self, echo: &EchoProfile) -> Option<&RestingPing> {
+        let Scene {
+            spec,
+            plan,
+            scatterers,
+            ..
+        } = self.scene;
+        let known = || RestingPing::new(spec, plan, scatterers, echo);
+        self.resting.get_or_init(known).as_ref()
     }
 
     fn motions(&self) -> Vec<Motion> {
@@ -498,7 +535,10 @@ impl<'a> CandidateBuilder<'a> {
                     true => {
                         refused.push((format!("{}, {}", synthesis.name(), doppler.name()), why))
                     }
-                    false => found.extend(self.instead(synthesis, &of, &why)),
+                    false => {
+                        let engine = self.engine(synthesis, doppler, None).ok();
+                        found.extend(self.instead(synthesis, &of, &why, engine.as_ref()));
+                    }
                 }
                 continue;
             }
@@ -588,16 +628,27 @@ impl<'a> CandidateBuilder<'a> {
         None
     }
 
-    /// An engine that is the operator's, on a ping beyond its design: the direct sum makes its echoes.
-    fn instead(&self, synthesis: Synthesis, motions: &[&Motion], why: &str) -> Vec<Candidate> {
+    /// An engine that is the operator's, on a ping beyond its design: the direct sum makes the elements with echoes beyond it, and the engine the others.
+    fn instead(
+        &self,
+        synthesis: Synthesis,
+        motions: &[&Motion],
+        why: &str,
+        engine: Option<&Engine>,
+    ) -> Vec<Candidate> {
         let Scene { spec, plan, .. } = self.scene;
         let mut error_model = sum_error_model(Synthesis::Direct, spec, plan, &self.conditions);
-        error_model.why = format!("by the direct sum: {why}");
+        error_model.why = format!("by the direct sum where echoes are beyond the design: {why}");
         let mut found = Vec::new();
         for motion in motions {
             let mut candidate = self.plain(Synthesis::Direct, &error_model, motion);
             candidate.choice.model.synthesis = synthesis;
-            candidate.parts[Family::Sum as usize].choice = synthesis.name().to_owned();
+            let sum = &mut candidate.parts[Family::Sum as usize];
+            sum.choice = synthesis.name().to_owned();
+            if let Some(engine) = engine {
+                let by_engine = self.on_engine(synthesis, motion, None, engine);
+                sum.error = sum.error.max(by_engine.part(Family::Sum).error);
+            }
             found.push(candidate);
         }
         found
@@ -713,6 +764,7 @@ impl<'a> CandidateBuilder<'a> {
             }
         };
         let (mut error, mut work, mut why) = (0.0f64, Work::NONE, String::new());
+        let mut echo_error = None;
         let pulse_s = self.conditions.pulse.duration_s;
         let windows = self.scene.plan.window_s(self.conditions.sample_rate_hz) / pulse_s;
         let single = self
@@ -726,7 +778,8 @@ impl<'a> CandidateBuilder<'a> {
         };
         // Elements that are made one by one, and points at which delays are solved.
         let (mut elements, mut solved) = (0.0, 0.0);
-        for (array, line) in self.scene.spec.receive.iter().zip(&engine.lines) {
+        let receive = self.scene.spec.receive.iter();
+        for (index, (array, line)) in receive.zip(&engine.lines).enumerate() {
             let Some(line) = line else {
                 elements += array.elements as f64;
                 continue;
@@ -738,7 +791,15 @@ impl<'a> CandidateBuilder<'a> {
                 .and(Figure::GriddedLinesGrid, cost.grids_ns);
             let points = line.solved_points(array, self.conditions.range_m);
             solved += NODE_PER_ELEMENT * points.unwrap_or(0.0);
-            error = error.max(onsets * line.error_model().error);
+            let at_rest = || {
+                let echo = line.echo_at_rest()?;
+                let phase_errors = line.phase_errors(array, self.conditions.range_m);
+                let resting = self.resting(echo)?;
+                Some(resting.error(index, echo, &phase_errors))
+            };
+            let known = self.is_at_rest().then(at_rest).flatten();
+            let bound = || onsets * line.error_of(array, self.line_motion());
+            error = error.max(known.unwrap_or_else(bound));
             why.clone_from(&line.error_model().why);
         }
         if let Some(one) = &engine.elements {
@@ -760,16 +821,33 @@ impl<'a> CandidateBuilder<'a> {
                 .conditions
                 .echo_statistics
                 .map_or(f64::INFINITY, |echoes| echoes.fading);
-            let of_many = fading * one.mean_error();
-            let of_one = SINGLE_MARGIN * one.single_echo_error();
-            error = error.max(of_many.max(of_one).min(KEPT_BY_ONE * tolerance));
+            let of_one = EchoError {
+                mean: one.mean_error(),
+                window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
+            };
+            let bound = of_one.of_ping(fading);
+            let at_rest = || {
+                let echo = one.echo_at_rest()?;
+                let resting = self.resting(echo)?;
+                let arrays = engine.lines.iter().enumerate();
+                let by_element = arrays.filter(|(_, line)| line.is_none());
+                let errors = by_element.map(|(array, _)| resting.error(array, echo, &[]));
+                Some(errors.fold(0.0, f64::max))
+            };
+            let known = self.is_at_rest().then(at_rest).flatten();
+            error = error.max(known.unwrap_or(bound.min(KEPT_BY_ONE * tolerance)));
+            let only_elements = engine.lines.iter().all(Option::is_none);
+            echo_error = (known.is_none() && only_elements).then_some(of_one);
             if why.is_empty() {
                 why = error_model.why;
             }
         }
         let pairs = culling.of.transmit_leg * scatterers * solved;
         let sum = self.sum(name, error, work, why);
-        self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum)
+        Candidate {
+            echo_error,
+            ..self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum)
+        }
     }
 
     /// Of all but the rarest echoes, the fastest.
@@ -779,6 +857,19 @@ impl<'a> CandidateBuilder<'a> {
         echoes.map_or(speed, |echoes| {
             (EXTREMES * echoes.closing_of_echoes_m_per_s).min(speed)
         })
+    }
+
+    /// Of the echoes of this ping, at most.
+    fn line_motion(&self) -> lines::LineMotion {
+        let c = self.conditions.sound_speed_m_per_s;
+        let echoes = self.conditions.echo_statistics;
+        lines::LineMotion {
+            range_m: self.conditions.range_m,
+            closing_m_per_s: self.conditions.speed_m_per_s,
+            curvature_per_s: echoes.map_or(f64::INFINITY, |echoes| {
+                echoes.range_acceleration_m_per_s2 / c
+            }),
+        }
     }
 
     /// The part of the sum, with what every way to sum costs.
@@ -991,6 +1082,7 @@ impl<'a> CandidateBuilder<'a> {
                 self.moving(synthesis),
             ],
             displaced: self.displaced(motion),
+            echo_error: None,
         }
     }
 

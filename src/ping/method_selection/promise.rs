@@ -3,22 +3,30 @@
 //! In: the selected candidate with the conditions that it was selected for, and the peaks of a ping's motion. Out: the ping's path model and its
 //! predicted error.
 
-use crate::conditions::{conditions, segment_step_s};
+use crate::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::method_selection::SEGMENTS_S;
-use crate::method_selection::echo_statistics::{EchoPeaks, echo_peaks};
+use crate::method_selection::echo_statistics::{
+    EchoPeaks, QUANTITIES, TRACKED, echo_peaks, quantities,
+};
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
-use crate::methods::{Candidate, Family};
+use crate::method_selection::sample_fades::WindowStatistics;
+use crate::methods::{Candidate, EchoError, Family};
 use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
+use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
-use echotank_core::ping::PingPlan;
+use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::error_models::{doppler_error, path_error};
-use echotank_synthesis::error_model::Conditions;
+use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 
-/// Of so few scatterers the statistics are made anew for each ping: which of them is heard alone changes from ping to ping. Of more, the peaks of
+/// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more, the peaks of
 /// their motion tell how much greater the statistics are than those of the selection.
 const ALL: usize = 1000;
+
+/// Places of the acceleration and of its change among the quantities.
+const ACCELERATION: usize = 4;
+const CHANGE: usize = 6;
 
 /// Errors of so small a ratio are about the same.
 const ABOUT: f64 = 1.1;
@@ -33,15 +41,34 @@ pub(super) struct Promise {
     doppler: DopplerModel,
     synthesis: Synthesis,
     /// Of what does not move: sum and output; and of culling, where every ping has floors of its own.
-    others: f64,
+    sum: f64,
+    echo_error: Option<EchoError>,
+    output: f64,
     culling: f64,
+}
+
+/// What is promised of one ping.
+#[derive(Clone, Copy)]
+pub(super) struct PingPromise {
+    pub path: PathModel,
+    /// Length of the segments, seconds.
+    pub segment_s: f64,
+    /// Predicted.
+    pub error: f64,
+    conditions: Conditions,
+    /// Whether its samples tell more.
+    is_heard: bool,
+    /// Error of path and Doppler in the worst window, over the sum of those in the worst window of each cause.
+    jointly: f64,
+    /// Of virtual points, of the sum, and of all the rest that is neither path nor Doppler.
+    bent: f64,
+    sum: f64,
+    others: f64,
 }
 
 impl Promise {
     pub(super) fn new(candidate: &Candidate, conditions: Conditions, peaks: EchoPeaks) -> Self {
         let model = candidate.choice.model;
-        let others = [Family::Sum, Family::Output];
-        let errors = others.map(|family| candidate.part(family).error);
         Self {
             conditions,
             peaks,
@@ -49,20 +76,21 @@ impl Promise {
             segment_s: model.segment_s,
             doppler: model.doppler,
             synthesis: model.synthesis,
-            others: errors.into_iter().fold(0.0, f64::hypot),
+            sum: candidate.part(Family::Sum).error,
+            echo_error: candidate.echo_error,
+            output: candidate.part(Family::Output).error,
             culling: candidate.part(Family::Culling).error,
         }
     }
 
-    /// Path model of a ping, length of its segments in seconds, and its predicted error. A configured path stays, and so does a selected one that
-    /// keeps the tolerance.
+    /// The promise of a ping, with its path model. A configured path stays, and so does a selected one that keeps the tolerance.
     pub(super) fn of_ping(
         &self,
         spec: &SonarSpec,
         plan: &PingPlan,
         scatterers: &Scatterers,
         tolerance: f64,
-    ) -> (PathModel, f64, f64) {
+    ) -> PingPromise {
         let bent = refraction_error(spec, plan, scatterers);
         let moving = match scatterers.moving.is_empty() {
             true => 0.0,
@@ -71,36 +99,36 @@ impl Promise {
                 by_sum.hypot(moving_error(spec, plan, scatterers, IN_PING))
             }
         };
-        let others = self.others.hypot(moving);
+        let others = self.output.hypot(moving);
         // The reference uses neither path nor Doppler model.
-        if self.synthesis == Synthesis::Reference {
-            return (self.path, self.segment_s, others.hypot(bent));
-        }
+        let is_reference = self.synthesis == Synthesis::Reference;
         let culling = match plan.range_floors.levels.is_empty() {
+            _ if is_reference => 0.0,
             true => self.culling,
             false => plan.range_floors.left_out,
         };
-        let others = others.hypot(culling);
         let conditions = match scatterers.len() <= ALL {
+            _ if is_reference => self.conditions,
             true => conditions(spec, plan, scatterers),
             false => echo_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
         };
-        let conditions = Conditions {
-            pulse: plan.pulse,
-            ..conditions
-        };
-        let window_s = plan.window_s(conditions.sample_rate_hz);
-        let error = |path: PathModel, segment_s: f64| {
-            let conditions = Conditions {
-                segment_s: segment_step_s(window_s, segment_s),
+        let mut ping = PingPromise {
+            path: self.path,
+            segment_s: self.segment_s,
+            error: 0.0,
+            conditions: Conditions {
+                pulse: plan.pulse,
                 ..conditions
-            };
-            let doppler = doppler_error(self.doppler, path, &conditions);
-            (path_error(path, &conditions) + bent + doppler).hypot(others)
+            },
+            is_heard: !is_reference && scatterers.len() <= ALL,
+            jointly: 1.0,
+            bent,
+            sum: self.sum,
+            others: others.hypot(culling),
         };
-        let selected = (self.path, self.segment_s, error(self.path, self.segment_s));
-        if selected.2 <= tolerance || !spec.synthesis.auto.path {
-            return selected;
+        ping.error = self.error(plan, &ping, self.path, self.segment_s);
+        if is_reference || ping.error <= tolerance || !spec.synthesis.auto.path {
+            return ping;
         }
         // From cheap to costly.
         let shorter = SEGMENTS_S
@@ -110,14 +138,101 @@ impl Promise {
         let costlier = chords
             .map(|segment_s| (PathModel::KSegment, segment_s))
             .chain([(PathModel::Continuous, self.segment_s)])
-            .map(|(path, segment_s)| (path, segment_s, error(path, segment_s)));
+            .map(|(path, segment_s)| (path, segment_s, self.error(plan, &ping, path, segment_s)));
         let errors = costlier.clone().map(|(_, _, error)| error);
-        let least = errors.fold(selected.2, f64::min);
+        let least = errors.fold(ping.error, f64::min);
         // Where none keeps the tolerance, the cheapest that is about as good as any.
         let enough = tolerance.max(ABOUT * least);
-        std::iter::once(selected)
+        let selected = (self.path, self.segment_s, ping.error);
+        let (path, segment_s, error) = std::iter::once(selected)
             .chain(costlier)
             .find(|(_, _, error)| *error <= enough)
-            .unwrap_or(selected)
+            .unwrap_or(selected);
+        PingPromise {
+            path,
+            segment_s,
+            error,
+            ..ping
+        }
+    }
+
+    /// Predicted error of a ping with a path model.
+    fn error(&self, plan: &PingPlan, ping: &PingPromise, path: PathModel, segment_s: f64) -> f64 {
+        if self.synthesis == Synthesis::Reference {
+            return ping.sum.hypot(ping.others).hypot(ping.bent);
+        }
+        let window_s = plan.window_s(ping.conditions.sample_rate_hz);
+        let conditions = Conditions {
+            segment_s: segment_step_s(window_s, segment_s),
+            ..ping.conditions
+        };
+        let doppler = doppler_error(self.doppler, path, &conditions);
+        let of_phase = ping.jointly * (path_error(path, &conditions) + doppler) + ping.bent;
+        of_phase.hypot(ping.sum).hypot(ping.others)
+    }
+
+    /// Error of path and Doppler for each unit of a quantity of the echoes.
+    fn weights(
+        &self,
+        plan: &PingPlan,
+        ping: &PingPromise,
+        predicted: EchoStatistics,
+    ) -> [f64; TRACKED] {
+        let window_s = plan.window_s(ping.conditions.sample_rate_hz);
+        std::array::from_fn(|only| {
+            let mut statistics = EchoStatistics {
+                off_path_m: Some(0.0),
+                ..predicted
+            };
+            let mut unit = 0.0;
+            for (q, value) in quantities(&mut statistics).into_iter().enumerate() {
+                // The velocity of a chord is off by the smaller of two bounds, of the acceleration and of its change.
+                match q {
+                    _ if q == only => unit = *value,
+                    CHANGE if only == ACCELERATION => {}
+                    _ => *value = 0.0,
+                }
+            }
+            if only == QUANTITIES {
+                unit = 1e-3 / ping.conditions.wavenumber_per_m();
+                statistics.off_path_m = Some(unit);
+            }
+            let conditions = Conditions {
+                segment_s: segment_step_s(window_s, ping.segment_s),
+                echo_statistics: Some(statistics),
+                ..ping.conditions
+            };
+            let doppler = doppler_error(self.doppler, ping.path, &conditions);
+            let error = path_error(ping.path, &conditions) + doppler;
+            if unit > 0.0 { error / unit } else { 0.0 }
+        })
+    }
+
+    /// The predicted error of a ping that has been made, with the fades of its own samples.
+    pub(super) fn of_samples(
+        &self,
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        frames: &[ElementFrame],
+        (ping, windows): (&mut PingPromise, &mut WindowStatistics),
+    ) {
+        let Some(predicted) = ping.conditions.echo_statistics.filter(|_| ping.is_heard) else {
+            return;
+        };
+        let weights = self.weights(plan, ping, predicted);
+        let of = (predicted, &weights);
+        let heard = windows.of_samples(spec, plan, scatterers, frames, of);
+        ping.conditions.echo_statistics = Some(heard);
+        if let Some(echo) = self.echo_error {
+            ping.sum = echo.of_ping(heard.fading);
+        } else if !self.synthesis.keeps_tolerance() {
+            ping.sum = sum_error_model(self.synthesis, spec, plan, &ping.conditions).error;
+        }
+        // Edges of sharp pulses cross samples, in proportion to nothing.
+        if spec.receiver.filter == ReceiverFilter::Fir || plan.pulse.taper > 0.0 {
+            ping.jointly = windows.jointly(&weights);
+        }
+        ping.error = self.error(plan, ping, ping.path, ping.segment_s);
     }
 }

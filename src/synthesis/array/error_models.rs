@@ -33,13 +33,16 @@ pub fn synthesis_error_model(
     plan: &PingPlan,
     filter: Option<FilterDesign>,
 ) -> ErrorModel {
-    let fading = conditions.echo_statistics.map_or_else(
-        || 1.0 / conditions.pulse.weakest_window(conditions.sample_rate_hz),
-        |echoes| echoes.fading,
+    let (fading, tails) = conditions.echo_statistics.map_or_else(
+        || {
+            let weakest = conditions.pulse.weakest_window(conditions.sample_rate_hz);
+            (1.0 / weakest, f64::INFINITY)
+        },
+        |echoes| (echoes.fading, echoes.tails),
     );
     let alone = || {
         window_error(synthesis, plan, conditions.sample_rate_hz, filter)
-            .map(|errors| errors.of_ping(fading))
+            .map(|errors| errors.of_ping(fading, tails))
     };
     let (error, why) = match (synthesis, filter) {
         (Synthesis::Reference, Some(_)) => (QUADRATURE, "filtered by quadrature".to_owned()),

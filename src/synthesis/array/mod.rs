@@ -6,6 +6,7 @@
 //! [`instrument`] applies imperfections of transducers and receiver, [`receiver`] noise, gain and conversion, and [`faults`] faults.
 
 pub mod direct;
+pub mod echo_profile;
 pub mod error_models;
 pub mod faults;
 pub mod filter;

@@ -55,9 +55,11 @@ pub(super) struct SingleEchoErrors {
 }
 
 impl SingleEchoErrors {
-    /// In the worst window of a ping whose `fading` is that of errors of random phase.
-    pub(super) fn of_ping(self, fading: f64) -> f64 {
-        self.window.max(fading * self.whole).min(MOST)
+    /// In the worst window of a ping with `fading` and `tails` as in [`EchoStatistics`](crate::error_model::EchoStatistics): what is left of the end of an echo is no more than its whole
+    /// error.
+    pub(super) fn of_ping(self, fading: f64, tails: f64) -> f64 {
+        let of_ends = self.window.min(tails * self.whole);
+        of_ends.max(fading * self.whole).min(MOST)
     }
 }
 
@@ -438,7 +440,7 @@ mod tests {
                 let design = filtered.then(|| design(synthesis, &pulse));
                 let plan = plan_at_rest(&pulse, 100, 1500.0);
                 let said = window_error(synthesis, &plan, RATE_HZ, design).expect("fits");
-                let said = said.of_ping(1.0);
+                let said = said.of_ping(1.0, f64::INFINITY);
                 let filter = design.map(|f| f.decimator().expect("fits"));
                 let alone = SingleEcho::new(synthesis, &plan, RATE_HZ, filter.as_ref());
                 let got = (0..24)
@@ -474,7 +476,7 @@ mod tests {
             let plan = plan_at_rest(&pulse, 100, 1500.0);
             let error =
                 window_error(Synthesis::Direct, &plan, rate_hz, Some(filter)).expect("fits");
-            let error = error.of_ping(1.0 / pulse.weakest_window(rate_hz));
+            let error = error.of_ping(1.0 / pulse.weakest_window(rate_hz), f64::INFINITY);
             println!("{} points, {pulse:?}: {error:.1e}", filter.oversample);
             assert!(error < 3e-4, "{pulse:?}: {error:e}");
         }

@@ -161,6 +161,8 @@ impl PathError {
             PathModel::KSegment => sag_m,
             PathModel::Continuous => 0.0,
         };
+        let known_m = conditions.echo_statistics.and_then(|e| e.off_path_m);
+        let off_m = known_m.unwrap_or(off_m);
         let phase_rad = conditions.wavenumber_per_m() * off_m * motion.spread;
         let edges = edge_error(conditions, off_m / conditions.sound_speed_m_per_s);
         Self {

@@ -141,6 +141,185 @@ const BLOCKS: Case = Case {
     points: &[[-0.9762, -1.1598, 19.0237, 0.05258, -0.04035]],
 };
 
+const AT_REST: Case = Case {
+    name: "onsets under other echoes",
+    c: 1460.6,
+    pulse: "kind = \"lfm\"\n\
+             center_frequency_khz = 69.09\n\
+             bandwidth_khz = 10.65\n\
+             duration_ms = 3.419\n\
+             taper = 0.05",
+    transmit: "position_m = [-0.841, -0.283, -0.684]\n\
+             pattern = \"omnidirectional\"",
+    receive: &["elements = 1\n\
+             position_m = [-0.914, -0.397, -0.642]\n\
+             roll_deg = 60.0\n\
+             element_pattern = \"omnidirectional\""],
+    rate_khz: 21.681,
+    filter: "fir",
+    range_m: 7.47,
+    tolerance: 0.00036,
+    model: "path = \"stop-and-hop\"\n\
+             doppler = \"none\"\n\
+             synthesis = \"gridded-1d\"",
+    velocity: [0.0, 0.0, 0.0],
+    acceleration: [0.0, 0.0, 0.0],
+    pitch: [0.0, 0.0],
+    heading: [289.978, 0.0],
+    points: &[
+        [-1.8704, -4.2582, 14.6020, -1.396, 0.754],
+        [-4.6791, -1.3930, 15.3602, 0.4575, 1.465],
+        [2.3655, -0.8745, 26.0363, -1.111, 0.1794],
+        [1.3761, -1.5879, 13.3738, -0.7829, 0.617],
+        [1.2766, -2.6565, 23.0813, -0.3555, -0.9268],
+        [-1.0763, -2.6445, 14.5401, 0.8274, 0.5091],
+        [-2.8410, 5.8536, 23.0373, 0.5666, -0.6713],
+        [3.0728, 4.5985, 20.5983, 0.8049, -0.1764],
+        [2.8619, -2.1125, 15.2166, -0.709, -0.4179],
+        [-2.4227, -4.3567, 15.2389, -0.8043, 0.1647],
+        [5.3801, 2.4576, 20.1126, -0.7168, 0.04335],
+        [-1.8636, 0.8476, 25.8466, -0.0184, -0.7112],
+        [-3.1113, -3.7849, 19.5827, 0.6881, 0.03736],
+        [-5.2941, -3.9721, 20.9923, 0.2969, -0.6217],
+    ],
+};
+
+const LINES_AT_REST: Case = Case {
+    name: "a line at rest",
+    c: 1468.8,
+    pulse: "kind = \"cw\"\n\
+             center_frequency_khz = 316.89\n\
+             duration_ms = 3.564\n\
+             taper = 1.0",
+    transmit: "position_m = [1.377, 1.916, 0.284]\n\
+             pattern = \"rectangle\"\n\
+             length_m = 0.067227\n\
+             width_m = 0.007082\n\
+             baffled = true",
+    receive: &["elements = 10\n\
+             spacing_m = 0.002628\n\
+             position_m = [1.619, 2.027, -0.006]\n\
+             roll_deg = 60.0\n\
+             element_pattern = \"rectangle\"\n\
+             element_length_m = 0.002628\n\
+             element_width_m = 0.004124\n\
+             baffled = true"],
+    rate_khz: 22.268,
+    filter: "fir",
+    range_m: 5.75,
+    tolerance: 0.0042,
+    model: "path = \"stop-and-hop\"\n\
+             doppler = \"none\"\n\
+             synthesis = \"gridded-lines\"",
+    velocity: [0.0, 0.0, 0.0],
+    acceleration: [0.0, 0.0, 0.0],
+    pitch: [0.0, 0.0],
+    heading: [194.567, 0.0],
+    points: &[
+        [-3.0608, 1.2532, 23.1505, 18.26, -5.382],
+        [1.3481, 0.2582, 21.2903, 6.727, -9.889],
+        [-2.3245, 3.5927, 17.1374, 0.7629, -8.155],
+        [0.1514, 0.9361, 16.7346, 1.279, -4.322],
+        [0.1346, -3.1811, 18.4376, -0.815, 1.215],
+        [-1.7501, 0.7734, 16.9212, -0.08556, 1.119],
+        [-0.1815, 4.9048, 18.1528, 0.005792, 0.6877],
+        [0.4207, -1.7384, 15.8534, 0.1716, 0.5979],
+    ],
+};
+
+const BEYOND_DESIGN: Case = Case {
+    name: "an engine within its design on a ping beyond it",
+    c: 1467.5,
+    pulse: "kind = \"lfm\"\n\
+             center_frequency_khz = 70.98\n\
+             bandwidth_khz = 10.13\n\
+             duration_ms = 3.824\n\
+             taper = 0.05",
+    transmit: "position_m = [-1.761, 1.249, 0.078]\n\
+             pattern = \"omnidirectional\"",
+    receive: &["elements = 31\n\
+             spacing_m = 0.012143\n\
+             position_m = [-1.658, 0.999, 0.329]\n\
+             roll_deg = 60.0\n\
+             yaw_deg = 90.0\n\
+             element_pattern = \"omnidirectional\""],
+    rate_khz: 29.846,
+    filter: "fir",
+    range_m: 5.49,
+    tolerance: 0.067,
+    model: "path = \"k-segment\"\n\
+             segment_ms = 5.0\n\
+             doppler = \"stretch-quadratic\"\n\
+             synthesis = \"gridded-1d\"",
+    velocity: [1.2323, 10.7039, 0.0],
+    acceleration: [0.0, 0.0, 0.0],
+    pitch: [0.0, 0.0],
+    heading: [83.433, 0.0],
+    points: &[
+        [2.4528, 5.2963, 23.4021, -4.973, -0.3097],
+        [-2.8434, 4.3297, 22.0116, -2.46, -3.289],
+        [-3.8658, 5.5905, 22.9030, -2.609, -0.5311],
+        [2.8093, 4.7534, 24.4196, 1.453, -2.091],
+        [1.4896, 3.8377, 18.6772, -0.003316, 1.396],
+        [-2.9453, 7.1719, 21.7724, -1.239, -0.02419],
+        [-3.0322, 3.2662, 17.6390, -0.271, -1.107],
+        [1.9940, 3.2585, 19.0566, -0.2429, 0.9875],
+    ],
+};
+
+const CHORDS: Case = Case {
+    name: "two echoes on chords",
+    c: 1504.0,
+    pulse: "kind = \"lfm\"\n\
+             center_frequency_khz = 38.44\n\
+             bandwidth_khz = 4.03\n\
+             duration_ms = 3.03\n\
+             taper = 0.5",
+    transmit: "position_m = [-1.574, -0.909, -0.579]\n\
+             pattern = \"rectangle\"\n\
+             length_m = 0.094448\n\
+             width_m = 0.015802\n\
+             baffled = false",
+    receive: &[
+        "elements = 1\n\
+             position_m = [-1.826, -0.939, -0.418]\n\
+             roll_deg = 60.0\n\
+             yaw_deg = 90.0\n\
+             element_pattern = \"rectangle\"\n\
+             element_length_m = 0.15502\n\
+             element_width_m = 0.063705\n\
+             baffled = false",
+        "elements = 1\n\
+             position_m = [-1.554, -0.903, -0.526]\n\
+             roll_deg = 60.0\n\
+             yaw_deg = 90.0\n\
+             element_pattern = \"rectangle\"\n\
+             element_length_m = 0.636402\n\
+             element_width_m = 0.074823\n\
+             baffled = false",
+    ],
+    rate_khz: 7.099,
+    filter: "none",
+    range_m: 13.76,
+    tolerance: 8.1e-05,
+    model: "path = \"auto\"\n\
+             doppler = \"stretch-quadratic\"\n\
+             synthesis = \"direct\"",
+    velocity: [0.2224, 1.8201, 0.0],
+    acceleration: [-0.2609, -2.1349, 0.0],
+    pitch: [0.0, 0.0],
+    heading: [83.032, 0.0],
+    points: &[
+        [0.6342, -5.5015, 15.4987, -0.1177, 0.5679],
+        [-2.5275, -6.0862, 20.0762, 0.5121, -1.134],
+        [-4.8835, 0.4358, 24.0331, -2.195, -1.449],
+        [-1.4085, -4.5371, 19.1412, 0.1433, 0.6714],
+        [-5.1201, 0.2869, 17.3142, -0.0756, 0.08216],
+        [-3.3305, -1.7092, 25.1393, 0.4672, -0.4179],
+        [6.0047, -1.5055, 18.4740, -0.5411, -2.927],
+    ],
+};
+
 impl Case {
     fn spec(&self, folder: &Path, model: &str) -> RigSpec {
         let track = rows(126, 0.02, |t| {
@@ -158,7 +337,7 @@ impl Case {
         let mut arrays = String::new();
         for (k, array) in self.receive.iter().enumerate() {
             arrays +=
-                &format!("[[sonar.receive]]\nname = \"a{k}\"\nsensitivity_db = 0.0\n{array}\n");
+                &format!("[[sonar.receive]]\nname = \"a{k}\"\nsensitivity_db = -30.0\n{array}\n");
         }
         let text = format!(
             r#"[medium]
@@ -183,7 +362,7 @@ full_scale_v = 1000.0
 [sonar.ping]
 range_m = {}
 rate_hz = 5.0
-source_level_db = 0.0
+source_level_db = 20.0
 gain_db = 0.0
 [sonar.model]
 tolerance = {}
@@ -201,30 +380,32 @@ error_check = false
         parse(&text, folder).unwrap_or_else(|why| panic!("{}: {why}\n{text}", self.name))
     }
 
-    /// Largest error of all windows and elements of the first ping, as the accuracy contract has it, and the predicted one.
-    fn errors(&self) -> [f64; 2] {
+    /// Largest error of all windows and elements of the first ping, as the accuracy contract has it, and those that are predicted before and after it.
+    fn errors(&self) -> [f64; 3] {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = self.spec(folder.path(), self.model);
         let exact = self.spec(folder.path(), "synthesis = \"reference\"");
-        let (got, predicted) = first_ping(&spec, true);
+        let (got, [before, after]) = first_ping(&spec, true);
         let (want, _) = first_ping(&exact, false);
         let sonar = &spec.sonars[0];
         let window = (sonar.pulse.duration_s * sonar.receiver.sample_rate_hz).ceil();
         (0..got.len())
             .map(|e| window_error(&got[e], &want[e], window.max(32.0) as usize))
-            .fold([0.0, predicted], |[worst, predicted], error| {
-                [f64::max(worst, error), predicted]
+            .fold([0.0, before, after], |[worst, before, after], error| {
+                [f64::max(worst, error), before, after]
             })
     }
 }
 
-/// Samples of all elements of the first ping, and the predicted error of its methods.
-fn first_ping(spec: &RigSpec, predict: bool) -> (Vec<Vec<Complex64>>, f64) {
+/// Samples of all elements of the first ping, and the error of its methods that is predicted for its motion, and with its samples where methods are
+/// selected.
+fn first_ping(spec: &RigSpec, predict: bool) -> (Vec<Vec<Complex64>>, [f64; 2]) {
     pool(1).expect("a thread").install(|| {
         let mut recorded = RecordedRig::open(spec).expect("opens");
         let mut slot = recorded.rig.slot(0);
         let (sonar, order) = recorded.next_order(1).expect("an order");
         assert!(recorded.settle(sonar, &order));
+        recorded.rig.select_first_methods(sonar, &order);
         let (mode, utc) = (spec.nav.mode, order.transmit_utc);
         make_ping(&mut recorded.rig, sonar, &order, mode, utc, &mut slot).expect("a ping");
         let scatterers = recorded.rig.scatterers();
@@ -250,7 +431,9 @@ fn first_ping(spec: &RigSpec, predict: bool) -> (Vec<Vec<Complex64>>, f64) {
                 .map(|e| array.element(e).to_vec())
                 .collect::<Vec<_>>()
         });
-        (samples.collect(), predicted.unwrap_or(0.0))
+        let before = predicted.unwrap_or(0.0);
+        let after = slot.output.methods.map(|mark| mark.predicted_error);
+        (samples.collect(), [before, after.unwrap_or(before)])
     })
 }
 
@@ -268,15 +451,23 @@ fn window_error(got: &[Complex64], want: &[Complex64], window: usize) -> f64 {
 }
 
 fn keeps(case: &Case) {
-    let [error, predicted] = case.errors();
-    println!("{}: {error:.2e}, predicted {predicted:.2e}", case.name);
+    keeps_within(case, 12.0);
+}
+
+/// `factor`: largest ratio of predicted and measured error.
+fn keeps_within(case: &Case, factor: f64) {
+    let [error, before, predicted] = case.errors();
+    println!(
+        "{}: {error:.2e}, predicted {predicted:.2e} ({before:.2e} before the ping)",
+        case.name
+    );
     assert!(
         error <= predicted,
         "{}: {error:e} > {predicted:e}",
         case.name
     );
     assert!(
-        predicted <= 12.0 * error,
+        predicted <= factor * error,
         "{}: {predicted:e} of {error:e}",
         case.name
     );
@@ -298,4 +489,28 @@ fn a_displaced_tail_of_the_filter_counts() {
 #[test]
 fn the_cubic_phase_of_the_shortest_run_counts() {
     keeps(&BLOCKS);
+}
+
+/// At rest the level of each window is known: an onset under other echoes is no small window, and the strongest echo raises the noise floor of all.
+#[test]
+fn onsets_count_where_the_ping_has_them_alone() {
+    keeps_within(&AT_REST, 4.0);
+}
+
+/// ... of a line too, whose delays are interpolated better than the nearest range of its design needs.
+#[test]
+fn a_line_at_rest_is_predicted_from_its_windows() {
+    keeps_within(&LINES_AT_REST, 5.0);
+}
+
+/// A platform may be faster than an engine is designed for and its echoes within the design: then the engine makes them.
+#[test]
+fn the_error_of_an_engine_counts_beyond_its_fastest_platform() {
+    keeps_within(&BEYOND_DESIGN, 40.0);
+}
+
+/// Two echoes of about the same level cancel for most of a window; their errors do not, which differ from chord to chord. The samples of the ping tell.
+#[test]
+fn echoes_that_cancel_count_as_far_as_they_do() {
+    keeps_within(&CHORDS, 5.0);
 }

@@ -8,9 +8,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use num_complex::Complex64;
 
+use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::Decimator;
 use echotank_core::model::DopplerModel;
 use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
+use echotank_core::simd::SimdLevel;
 
 use super::band::{Band, band, widest};
 use super::batched_fft::lanes_for;
@@ -61,6 +63,11 @@ pub(crate) struct Design {
     pub error: f64,
     /// Errors of a single echo, with the noise floor of the contract.
     pub single_echo: EchoErrors,
+    /// As asked for.
+    sample_rate_hz: f64,
+    tolerance: f64,
+    /// rms rounding error of a number, relative to it.
+    grid_rounding: f64,
 }
 
 pub(crate) struct DesignedTerm {
@@ -256,7 +263,8 @@ impl Design {
         })
         .ok_or_else(|| unreachable(DELAY_KERNEL))?;
 
-        let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
+        let grid_rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 };
+        let rounding = grid_rounding * kernel.amplification();
         let series = match weights_carry {
             true => 0.0,
             false => term_rad * curvature_rad / (count + 1) as f64,
@@ -331,12 +339,44 @@ impl Design {
             sweep: sweep(spec),
             error,
             single_echo,
+            sample_rate_hz: rate_hz,
+            tolerance: asked.tolerance,
+            grid_rounding,
         })
     }
 
     /// Grid steps per second.
     pub(crate) fn grid_hz(&self) -> f64 {
         self.grid as f64 / self.period_s
+    }
+
+    /// One echo without Doppler, with its errors. `everywhere`: energy of the errors that spread over the record, relative to that of the strongest
+    /// window.
+    pub(super) fn echo_at_rest(&self, everywhere: f64) -> EchoProfile {
+        let span = DopplerSpan {
+            least: 0.0,
+            greatest: 0.0,
+        };
+        let spec = Spec {
+            pulse: &self.pulse,
+            sample_rate_hz: self.sample_rate_hz,
+            samples: 0,
+            filter: self.filter.as_ref(),
+            doppler: DopplerModel::None,
+            span,
+            curvature_per_s: 0.0,
+            tolerance: self.tolerance,
+            level_range_db: FLOOR_BELOW_STRONGEST_DB,
+            arrivals: 0,
+            simd_level: SimdLevel::best(),
+        };
+        let of_others = [self.grid_rounding, everywhere];
+        SingleEcho::new(&spec, span, &self.spectrum).profile(
+            &self.kernel,
+            &self.band,
+            self.grid_hz(),
+            of_others,
+        )
     }
 
     fn frequencies(&self) -> impl Iterator<Item = f64> + '_ {

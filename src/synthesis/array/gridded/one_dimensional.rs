@@ -28,6 +28,7 @@ use std::sync::{Arc, OnceLock};
 use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
 
+use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::Decimator;
 use crate::arrivals::{ArrivalChunk, ArrivalSink};
 use crate::error_model::ErrorModel;
@@ -147,6 +148,8 @@ pub enum GriddedError {
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
     cost_estimate: Box<dyn Fn(usize, f64, f64) -> CostEstimate + Send + Sync>,
+    echo_at_rest: Option<Box<dyn Fn() -> EchoProfile + Send + Sync>>,
+    profile: OnceLock<EchoProfile>,
     error_model: ErrorModel,
     single_echo_error: f64,
     mean_error: f64,
@@ -232,6 +235,14 @@ impl Gridded1d {
             ),
         };
         let (costing, (simd_level, samples)) = (design.clone(), (spec.simd_level, spec.samples));
+        let (profiled, is_still) = (design.clone(), design.frame.still);
+        let everywhere = match spread_error > 0.0 {
+            true => F32_TRANSFORM * F32_TRANSFORM,
+            false => 0.0,
+        };
+        let echo_at_rest = move || profiled.echo_at_rest(everywhere);
+        let echo_at_rest: Option<Box<dyn Fn() -> EchoProfile + Send + Sync>> =
+            is_still.then(|| Box::new(echo_at_rest) as _);
         let plan = OnceLock::new();
         Ok(Self {
             make: Box::new(move || {
@@ -241,6 +252,8 @@ impl Gridded1d {
             cost_estimate: Box::new(move |arrivals, share, curvature| {
                 costing.cost_estimate(words, arrivals, share, curvature)
             }),
+            echo_at_rest,
+            profile: OnceLock::new(),
             error_model,
             single_echo_error,
             mean_error,
@@ -255,6 +268,12 @@ impl Gridded1d {
     /// Predicted rms error over the echoes of a ping and their places on the grids.
     pub fn mean_error(&self) -> f64 {
         self.mean_error
+    }
+
+    /// An echo with its error, of an engine without Doppler; none of others. The first call computes it.
+    pub fn echo_at_rest(&self) -> Option<&EchoProfile> {
+        let make = self.echo_at_rest.as_ref()?;
+        Some(self.profile.get_or_init(make))
     }
 
     /// Predicted error, and cost in milliseconds of one core per element.

@@ -8,8 +8,10 @@
 
 use num_complex::Complex64;
 
+use crate::array::echo_profile::EchoProfile;
 use crate::array::phasor::cis;
 use echotank_core::pulse::MIN_WINDOW;
+use echotank_fft::Planned;
 
 use super::band::{Band, widest};
 use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
@@ -26,6 +28,9 @@ const DEEPEST_DB: f64 = 60.0;
 /// Tested positions across a cell of the kernel. The kernel is symmetric, with the largest error at
 /// the ends or in the middle.
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
+
+/// Positions across a cell of the kernel, -1..1, of an echo's profile.
+const PROFILE_PLACES: [f64; 6] = [-1.0, -0.6, -0.2, 0.2, 0.6, 1.0];
 
 /// Tested positions across a cell of the Doppler grid.
 const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
@@ -66,6 +71,8 @@ pub(super) struct SingleEcho {
     /// Energies of the echoes in all windows. The energy of the noise is the minimum.
     windows: Vec<Vec<f64>>,
     length: usize,
+    /// Instants per sample.
+    density: usize,
     /// Energy of the noise in a window relative to the strongest window.
     noise: f64,
 }
@@ -113,6 +120,7 @@ impl SingleEcho {
             spectra,
             windows,
             length,
+            density: (2.0 * widest(spec)) as usize,
             noise,
         }
     }
@@ -195,6 +203,80 @@ impl SingleEcho {
             .flat_map(|cell| ACROSS.map(|across| (cell as f64 + across) / grid.cells as f64))
             .collect();
         EchoErrors::of(shared_out(shares.len(), |k| at(shares[k])).into_iter())
+    }
+
+    /// The echo at rest with the errors of `kernel` within `band`, on a grid of `grid_hz` values per second. `rounding`: rms rounding error of a number,
+    /// relative to it. `everywhere`: energy of the errors that spread over the record, relative to that of the strongest window.
+    pub(super) fn profile(
+        &self,
+        kernel: &Kernel,
+        band: &Band,
+        grid_hz: f64,
+        [rounding, everywhere]: [f64; 2],
+    ) -> EchoProfile {
+        let at_rest = &self.spectra[0];
+        let middle = 0.5 * (kernel.width - 1) as f64;
+        let weights_at = |x: f64| -> Vec<f64> {
+            let powers = |i: usize| (0..kernel.moments).rev().map(move |k| kernel.weight(k, i));
+            (0..kernel.width)
+                .map(|i| powers(i).fold(0.0, |sum, weight| sum * x + weight))
+                .collect()
+        };
+        let instants = |values: Vec<Complex64>| {
+            let mut values = values;
+            f64::plan_inverse(values.len()).process(&mut values);
+            values
+        };
+        let error_at = |x: f64| {
+            let weights = weights_at(x);
+            let bins = self.frequency_hz.iter().zip(at_rest);
+            let error = bins.map(|(&f_hz, echo)| {
+                let kept = band.gain(f_hz);
+                if kept == 0.0 {
+                    return -*echo;
+                }
+                let nu = f_hz / grid_hz;
+                let taps = weights.iter().enumerate();
+                let sum: Complex64 = taps.map(|(i, &w)| wave(nu * (i as f64 - middle)) * w).sum();
+                // 1 but for the error of the kernel.
+                let spread = sum / kernel.window_gain(nu) * wave(-0.5 * nu * x);
+                echo * (kept * spread) - echo
+            });
+            instants(error.collect())
+        };
+        // Rounding errors of the grid values of an echo are echoes at these values. A value is a sum of powers, whose terms each round.
+        let term2 = |i: usize| -> f64 {
+            let terms = PROFILE_PLACES.iter().flat_map(|x| {
+                (0..kernel.moments).map(move |k| kernel.weight(k, i) * x.powi(k as i32))
+            });
+            terms.map(|term| term * term).sum::<f64>() / PROFILE_PLACES.len() as f64
+        };
+        let mut squares = vec![0.0; at_rest.len()];
+        for i in 0..kernel.width {
+            let size = rounding * term2(i).sqrt();
+            let bins = self.frequency_hz.iter().zip(at_rest);
+            let error = bins.map(|(&f_hz, echo)| {
+                let nu = f_hz / grid_hz;
+                match band.gain(f_hz) {
+                    0.0 => Complex64::ZERO,
+                    kept => {
+                        let turned = wave(nu * (i as f64 - middle));
+                        echo * turned * (kept * size / kernel.window_gain(nu))
+                    }
+                }
+            });
+            for (square, value) in squares.iter_mut().zip(instants(error.collect())) {
+                *square += value.norm_sqr();
+            }
+        }
+        let errors: Vec<Vec<Complex64>> = PROFILE_PLACES.map(error_at).into();
+        EchoProfile::new(
+            self.density,
+            instants(at_rest.clone()),
+            &errors,
+            &squares,
+            everywhere,
+        )
     }
 
     /// Errors if the spectrum has the relative error `amiss` at each frequency.

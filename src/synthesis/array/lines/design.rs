@@ -4,8 +4,9 @@
 //! `windows` tells what the first two are in the worst window of a ping with that many echoes; the third is a bound.
 
 use std::f64::consts::{PI, TAU};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::Decimator;
 use crate::array::gridded::CostEstimate;
 use crate::array::gridded::pulse_spectrum::PulseSpectrum;
@@ -65,6 +66,8 @@ const SAMPLE_NS: f64 = 6.0;
 const FARTHEST: f64 = 1e4;
 const NEARER: f64 = 0.9;
 const RANGES: i32 = 120;
+/// ... and those of the scatterers of a ping.
+const PING_RANGES: i32 = 24;
 /// Of the error of interpolated delays, the share that is left where squares of receive legs are interpolated: so much, and so many times the speed of the
 /// platform over that of sound.
 const COARSE_SHARE: f64 = 0.02;
@@ -166,7 +169,50 @@ pub struct Design {
     coarse_share: f64,
     wavelength_m: f64,
     error_model: ErrorModel,
+    parts: ErrorParts,
+    /// An echo at rest with the errors of the kernel; none with Doppler, and before the sizes are selected.
+    echo: Option<Arc<EchoProfile>>,
     effort: Effort,
+}
+
+/// Errors in the worst window of a ping, apart from the interpolation along the line.
+#[derive(Clone, Copy, Debug)]
+struct ErrorParts {
+    kernel: f64,
+    columns: f64,
+    /// Of echoes with a Doppler beyond all columns.
+    beyond: f64,
+    fading: f64,
+    /// Largest curvature of the design, per second; 0 where the Doppler does not change.
+    curvature_per_s: f64,
+    /// Phase at the ends of the pulse for each of it, radians.
+    curvature_rad_s: f64,
+    /// Largest error by curvature where weights carry it.
+    curvature_room: f64,
+}
+
+impl ErrorParts {
+    fn of_curvature(&self, taps: usize, curvature_per_s: f64) -> f64 {
+        let curvature_rad = self.curvature_rad_s * curvature_per_s;
+        match taps {
+            ..3 => worst_of_even(self.fading, 0.3 * curvature_rad, 2.2),
+            _ => {
+                let second = 0.06 * curvature_rad * curvature_rad;
+                worst_of_even(self.fading, second, 4.0).min(self.curvature_room)
+            }
+        }
+    }
+}
+
+/// Motion of a ping's echoes, for the error in that ping.
+#[derive(Clone, Copy, Debug)]
+pub struct LineMotion {
+    /// Ranges of the nearest and the farthest scatterer, metres.
+    pub range_m: (f64, f64),
+    /// Fastest closing speed, m/s.
+    pub closing_m_per_s: f64,
+    /// Largest second derivative of the range, mean of both legs, over the sound speed, per second.
+    pub curvature_per_s: f64,
 }
 
 /// What a ping costs apart from its echoes and their Dopplers.
@@ -372,12 +418,13 @@ impl Design {
         } = fits;
         let single_echo = &*single_echo;
         let fading = single_echo.fading(spec);
-        // Least-squares errors of k columns are like the Legendre polynomial of degree k.
-        let of_columns = |columns: &Columns| {
-            let end = (2.0 * columns.taps as f64 + 1.0).sqrt();
-            worst_of_even(fading, columns.error, end)
-        };
         let carrier_hz = pulse.center_frequency_hz;
+        // Least-squares errors of k columns are like the Legendre polynomial of degree k.
+        let worst_of_columns = |taps: usize, rms: f64| {
+            let end = (2.0 * taps as f64 + 1.0).sqrt();
+            worst_of_even(fading, rms, end)
+        };
+        let of_columns = |columns: &Columns| worst_of_columns(columns.taps, columns.error);
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let extent_s = 0.55 * pulse.duration_s + filter.half_s() + 1.1 * half_m / c;
         let extent = (extent_s * rate_hz).ceil() as usize + 1;
@@ -397,28 +444,30 @@ impl Design {
             true => (2..=MAX_TAPS)
                 .flat_map(|taps| COLUMN_SHARES.map(|share| (taps, share)))
                 .map(|(taps, share)| {
-                    let end = (2.0 * taps as f64 + 1.0).sqrt();
-                    let rms = tolerance * share.sqrt() / worst_of_even(fading, 1.0, end);
+                    let rms = tolerance * share.sqrt() / worst_of_columns(taps, 1.0);
                     Columns::fit(taps, rms)
                 })
                 .collect(),
         };
         // The change of the Doppler during the pulse: left out with two columns, to first order with more. The rms of q^2 less its mean is 0.3, that of
         // half its square 0.06; both are largest at the ends of the pulse.
-        let curvature_rad = match spec.doppler {
-            DopplerModel::StretchQuadratic => {
-                let per_s = spec.fastest_m_per_s.powi(2) / (spec.nearest_m * c);
-                0.5 * PI * carrier_hz * pulse.duration_s.powi(2) * per_s
-            }
-            _ => 0.0,
-        };
         let curvature_room = tolerance * CURVATURE_SHARE.sqrt();
-        let of_curvature = |columns: &Columns| match columns.taps {
-            ..3 => worst_of_even(fading, 0.3 * curvature_rad, 2.2),
-            _ => {
-                worst_of_even(fading, 0.06 * curvature_rad * curvature_rad, 4.0).min(curvature_room)
-            }
+        let no_kernel = ErrorParts {
+            kernel: 0.0,
+            columns: 0.0,
+            beyond: beyond_error,
+            fading,
+            curvature_per_s: match spec.doppler {
+                DopplerModel::StretchQuadratic => {
+                    spec.fastest_m_per_s.powi(2) / (spec.nearest_m * c)
+                }
+                _ => 0.0,
+            },
+            curvature_rad_s: 0.5 * PI * carrier_hz * pulse.duration_s.powi(2),
+            curvature_room,
         };
+        let of_curvature =
+            |columns: &Columns| no_kernel.of_curvature(columns.taps, no_kernel.curvature_per_s);
         let max_curvature_rad = |columns: &Columns| match columns.taps {
             ..3 => f64::INFINITY,
             _ => (curvature_room / worst_of_even(fading, 0.06, 4.0)).sqrt(),
@@ -530,19 +579,98 @@ impl Design {
                             columns.taps, step
                         ),
                     },
+                    parts: ErrorParts {
+                        kernel: kernel_error,
+                        columns: of_columns(columns),
+                        ..no_kernel
+                    },
+                    echo: None,
                     effort: effort(columns),
                 });
             }
         }
-        best.ok_or(Refusal::TooFine {
+        let mut best = best.ok_or(Refusal::TooFine {
             tolerance,
             least: finest,
-        })
+        })?;
+        let per_sample = best.slab_rows as f64 / best.slab_samples as f64;
+        best.echo = (!moving).then(|| Arc::new(single_echo.profile(&best.kernel, per_sample)));
+        Ok(best)
     }
 
     /// Predicted windowed error, and cost in milliseconds of one core per ping.
     pub fn error_model(&self) -> &ErrorModel {
         &self.error_model
+    }
+
+    /// Predicted windowed error of a ping with this motion: as [`Self::error_model`], which allows for the nearest scatterer and the fastest platform of
+    /// the design.
+    pub fn error_of(&self, array: &ArrayGeometry, motion: LineMotion) -> f64 {
+        let ErrorParts {
+            kernel,
+            columns,
+            beyond,
+            curvature_per_s,
+            ..
+        } = self.parts;
+        let path_m = match self.path_errors_m(array, motion.range_m) {
+            Some(errors) => errors.into_iter().map(|(_, m)| m).fold(0.0, f64::max),
+            None => self.path_m,
+        };
+        let path = TAU / self.wavelength_m * path_m.min(self.path_m);
+        let reach_columns = (self.reach + 1).saturating_sub(self.columns.taps) as f64;
+        let closing = stretch(motion.closing_m_per_s, self.effort.sound_speed_m_per_s);
+        let beyond = match closing <= reach_columns * self.step {
+            true => 0.0,
+            false => beyond,
+        };
+        let curvature_per_s = curvature_per_s.min(motion.curvature_per_s);
+        let curvature = self.parts.of_curvature(self.columns.taps, curvature_per_s);
+        [kernel, columns, path, beyond, curvature]
+            .into_iter()
+            .fold(0.0, f64::hypot)
+    }
+
+    /// An echo with its error, apart from that of the interpolation along the line ([`Self::phase_errors`]), of a design without Doppler; none of
+    /// others.
+    pub fn echo_at_rest(&self) -> Option<&EchoProfile> {
+        self.echo.as_deref()
+    }
+
+    /// Largest phase errors by the interpolation along `array`, radians, of scatterers from each of some ranges to the next, metres, the nearest first.
+    pub fn phase_errors(&self, array: &ArrayGeometry, range_m: (f64, f64)) -> Vec<(f64, f64)> {
+        let per_m = TAU / self.wavelength_m;
+        let errors = self.path_errors_m(array, range_m).unwrap_or_default();
+        let next = errors.iter().skip(1).chain(errors.last());
+        let pairs = errors.iter().zip(next);
+        pairs
+            .map(|(here, next)| (here.0, per_m * here.1.max(next.1)))
+            .collect()
+    }
+
+    /// Largest errors of the interpolated delays and gains, as a path, of scatterers at ranges between these; none if no number of nodes is enough.
+    fn path_errors_m(
+        &self,
+        array: &ArrayGeometry,
+        (nearest_m, farthest_m): (f64, f64),
+    ) -> Option<Vec<(f64, f64)>> {
+        let of = |counts: &NodeCounts| -> Vec<f64> { places(counts.delays).collect() };
+        let counts = NODES
+            .iter()
+            .find(|counts| self.interpolates(&of(counts), 1.0, counts.gains, array, nearest_m))?;
+        let (all, few) = (of(counts), coarse(&of(counts)));
+        let ratio = (farthest_m / nearest_m).max(1.0);
+        let ranges_m = (0..=PING_RANGES)
+            .map(|k| nearest_m * ratio.powf(f64::from(k) / f64::from(PING_RANGES)));
+        let errors = ranges_m.map(|range_m| {
+            let by_few = self.path_error_m(&few, self.coarse_share, 3, array, range_m);
+            let error = match by_few <= self.path_m {
+                true => by_few,
+                false => self.path_error_m(&all, 1.0, counts.gains, array, range_m),
+            };
+            (range_m, error)
+        });
+        Some(errors.collect())
     }
 
     /// Predicted cost of a ping with so many echoes, whose closing speeds differ by `differ_m_per_s`, without the solution of delays and gains
@@ -588,6 +716,18 @@ impl Design {
         array: &ArrayGeometry,
         range_m: f64,
     ) -> bool {
+        self.path_error_m(places, share, gains, array, range_m) <= self.path_m
+    }
+
+    /// Largest error of a path length, with that of the gains.
+    fn path_error_m(
+        &self,
+        places: &[f64],
+        share: f64,
+        gains: usize,
+        array: &ArrayGeometry,
+        range_m: f64,
+    ) -> f64 {
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let block_m = (LANES as f64 * array.spacing_m).min(2.0 * half_m);
         let element_m = match array.element_pattern {
@@ -599,7 +739,7 @@ impl Design {
         let as_path_m = gain_error * self.wavelength_m / TAU;
         let [along_m, block_m] = interpolation_errors_m(places, half_m, block_m, range_m);
         let path_m = share * along_m + block_m;
-        path_m.hypot(as_path_m) <= self.path_m
+        path_m.hypot(as_path_m)
     }
 
     /// Range from which on `places` and so many gains are enough along `array`, metres; infinite if they never are.

@@ -15,6 +15,7 @@ use echotank_core::pulse::MIN_WINDOW;
 use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
 
+use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::Decimator;
 use crate::array::gridded::pulse_spectrum::PulseSpectrum;
 
@@ -29,6 +30,8 @@ const SURE: f64 = 0.125;
 const PLACES: usize = 12;
 /// Several echoes in one window, and echoes that change (motion, patterns).
 const MORE: f64 = 1.3;
+/// Rounding errors of the transforms over a slab, relative to the strongest echo.
+const ROUNDING: f64 = 1e-7;
 
 /// Errors of a kernel.
 #[derive(Clone, Copy, Debug)]
@@ -166,8 +169,8 @@ impl SingleEcho {
         (self.free as f64 / weakest).sqrt()
     }
 
-    /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample.
-    pub(super) fn errors(&self, kernel: &Kernel, per_sample: f64) -> KernelErrors {
+    /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample, by frequency and place.
+    fn off_at(&self, kernel: &Kernel, per_sample: f64) -> Vec<[Complex64; PLACES]> {
         let half = 0.5 * kernel.width as f64;
         // Samples of the kernel for echoes at each place after a row.
         let samples: [_; PLACES] = std::array::from_fn(|place| {
@@ -200,10 +203,9 @@ impl SingleEcho {
                 sum
             })
         };
-        // Error by frequency and place; what the engine leaves out is wrong as a whole.
+        // What the engine leaves out is wrong as a whole.
         let band = f64::max(0.5, BAND * per_sample);
-        let off_at: Vec<[Complex64; PLACES]> = self
-            .spectrum
+        self.spectrum
             .iter()
             .map(|(nu, value)| {
                 if nu.abs() > band {
@@ -213,7 +215,29 @@ impl SingleEcho {
                 let mean = all.iter().map(|x| x.re).sum::<f64>() / PLACES as f64;
                 all.map(|at| value * (at / mean - 1.0))
             })
+            .collect()
+    }
+
+    /// An echo at rest with its errors, instant by instant.
+    pub(super) fn profile(&self, kernel: &Kernel, per_sample: f64) -> EchoProfile {
+        let inverse = f64::plan_inverse(2 * self.size);
+        // The middle of the pulse is half a period after the beginning.
+        let instants = |mut values: Vec<Complex64>| {
+            inverse.process(&mut values);
+            values.rotate_left(self.size);
+            values
+        };
+        let off_at = self.off_at(kernel, per_sample);
+        let errors: Vec<Vec<Complex64>> = (0..PLACES)
+            .map(|place| instants(off_at.iter().map(|values| values[place]).collect()))
             .collect();
+        let signal = self.spectrum.iter().map(|(_, value)| *value).collect();
+        EchoProfile::new(2, instants(signal), &errors, &[], ROUNDING * ROUNDING)
+    }
+
+    /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample.
+    pub(super) fn errors(&self, kernel: &Kernel, per_sample: f64) -> KernelErrors {
+        let off_at = self.off_at(kernel, per_sample);
         let (mut energy, mut worst) = (0.0, 0.0f64);
         for place in 0..PLACES {
             let mut off = vec![Complex64::ZERO; self.size];

@@ -49,7 +49,7 @@ pub(crate) struct Chosen {
 /// Engine of a case, for methods with an engine.
 pub(crate) enum Ready {
     Sum,
-    Elements(Gridded),
+    Elements(Box<Gridded>),
     Line(Box<Gridded2d>),
 }
 
@@ -196,7 +196,7 @@ impl Method {
                 let gridded = gridded_1d(tolerance, case, &plan, truth)?;
                 return Ok((
                     gridded.engine.error_model().clone(),
-                    Ready::Elements(gridded),
+                    Ready::Elements(Box::new(gridded)),
                 ));
             }
             Synthesis::Gridded2d => {
