@@ -68,20 +68,21 @@ pub(crate) struct ElementScratch {
     dense: Vec<Complex64>,
     /// The element's spectrum, for the sum over frequencies.
     bins: Bins,
-    /// The samples of a further pulse.
+    /// The samples of a further pulse, or of an element ahead of its imperfections.
     pub(crate) own: Vec<Complex64>,
     /// Those of moving scatterers.
     moving: Vec<Complex64>,
 }
 
 impl ElementScratch {
-    /// `segments`: of the longest polyline. `dense`: samples ahead of the filter of the longest record.
-    pub(crate) fn with_room_for(segments: usize, dense: usize) -> Self {
+    /// `segments`: of the longest polyline. `dense`: samples ahead of the filter of the longest record. `own`: those of a further pulse, or of an
+    /// element ahead of its imperfections.
+    pub(crate) fn with_room_for(segments: usize, dense: usize, own: usize) -> Self {
         Self {
             walk: Workspace::with_room_for(segments),
             dense: Vec::with_capacity(dense),
             bins: Bins::default(),
-            own: Vec::new(),
+            own: Vec::with_capacity(own),
             moving: Vec::new(),
         }
     }

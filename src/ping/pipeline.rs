@@ -97,15 +97,22 @@ impl SonarPipeline {
             let (weighting, c) = (spec.beams.weighting, medium.sound_speed_m_per_s);
             Fan::new(array, transmit, fan, limits, &spec.pulse, weighting, c)
         });
-        let more_pulses = spec
+        let more_pulses: Vec<MorePulse> = spec
             .more_pulses
             .iter()
             .map(|more| MorePulse::new(spec, more, medium, limits, decimator))
             .collect::<Result<_, _>>()?;
+        let instrument = instrument(spec, medium, limits)?;
+        // A thread may get its first element in any ping.
+        let acts = |instrument: &ElementInstrument| instrument.acts_on_elements();
+        let own = match instrument.as_ref().is_some_and(acts) || !more_pulses.is_empty() {
+            true => limits.samples,
+            false => 0,
+        };
         Ok(Self {
             synthesis,
             scratch: (0..rayon::current_num_threads())
-                .map(|_| Mutex::new(ElementScratch::with_room_for(segments, dense)))
+                .map(|_| Mutex::new(ElementScratch::with_room_for(segments, dense, own)))
                 .collect(),
             results: vec![ElementResult::default(); elements],
             footprints: Vec::with_capacity(spec.receive.len() * (1 + spec.more_pulses.len())),
@@ -124,7 +131,7 @@ impl SonarPipeline {
                 .map(|line| LineFormer::of_sonar(spec, line, limits, medium.sound_speed_m_per_s))
                 .collect(),
             bottom: bottom(spec, limits),
-            instrument: instrument(spec, medium, limits)?,
+            instrument,
             faults: Vec::new(),
             spoiling: Vec::new(),
             gains: Vec::with_capacity(limits.samples),
