@@ -1,7 +1,8 @@
 //! One ping in six steps: [`make_ping`] is the function to read first.
 //!
 //! In: an order of a ping, the navigation and the scene. Out: a [`PingSlot`] with the plan of the ping and everything it made. Nothing here fails
-//! but for missing navigation, nothing logs, and nothing allocates after the first ping at the largest settings: it counts. Work is split by
+//! but for missing navigation, nothing logs, and nothing allocates after the first ping at the largest settings, but for the predicted errors of a
+//! method selection over few scatterers: it counts. Work is split by
 //! element and by beam, and no floating-point sum crosses threads, so the samples are the same bits for any number of threads.
 
 use echotank_config::spec::{NavMode, StampSpec};

@@ -940,7 +940,8 @@ mod tests {
     }
 
     /// A narrow shadow between lit bins. The scatterers in it that were looked at are faint, and those that were not may be lit: none is left out that
-    /// would be heard in the dark window, also where all were looked at, but by one element only. Of a short pulse, a window of two bins may lie in the dark with one bin and parts of the lit ones around.
+    /// would be heard in the dark window, also where all were looked at, but by one element only. Of a short pulse, a window of two bins may lie in the
+    /// dark with one bin and parts of the lit ones around.
     #[test]
     fn nothing_lit_is_left_out_of_a_narrow_shadow() {
         const DARK: Range<usize> = 40..42;

@@ -43,6 +43,9 @@ const PARTS: usize = 4;
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
 /// acceleration, turning, change of acceleration, unsteadiness.
 pub(super) const QUANTITIES: usize = 8;
+/// Places of the acceleration and of its change among them.
+pub(super) const ACCELERATION: usize = 4;
+pub(super) const CHANGE: usize = 6;
 /// The same, and last the distance of the track from the path model, where that is known.
 pub(super) const TRACKED: usize = QUANTITIES + 1;
 /// These quantities.

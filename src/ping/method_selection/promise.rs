@@ -6,7 +6,7 @@
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::method_selection::SEGMENTS_S;
 use crate::method_selection::echo_statistics::{
-    EchoPeaks, QUANTITIES, TRACKED, echo_peaks, quantities,
+    ACCELERATION, CHANGE, EchoPeaks, QUANTITIES, TRACKED, echo_peaks, quantities,
 };
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
 use crate::method_selection::sample_fades::WindowStatistics;
@@ -23,10 +23,6 @@ use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 /// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more, the peaks of
 /// their motion tell how much greater the statistics are than those of the selection.
 const ALL: usize = 1000;
-
-/// Places of the acceleration and of its change among the quantities.
-const ACCELERATION: usize = 4;
-const CHANGE: usize = 6;
 
 /// Errors of so small a ratio are about the same.
 const ABOUT: f64 = 1.1;

@@ -4,11 +4,12 @@
 //! In: the plan of a ping at rest and its scatterers. Out: the largest windowed error of an engine, from the profile of its echoes
 //! ([`EchoProfile`]). Looked at are the ends of each array and the elements with the deepest fades.
 
+use crate::error_check::window_samples;
 use crate::method_selection::{MotionScale, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{PingPlan, RangeFloors};
-use echotank_core::pulse::{MIN_WINDOW, noise_share};
+use echotank_core::pulse::noise_share;
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::echo_profile::{EchoProfile, KnownEcho, carrier, window_levels};
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
@@ -96,8 +97,7 @@ impl RestingPing {
         plan.model.cull_db = None;
         plan.range_floors = RangeFloors::default();
         let rate_hz = spec.receiver.sample_rate_hz;
-        let window = (plan.pulse.duration_s * rate_hz).ceil().max(MIN_WINDOW) as usize;
-        let window = window.min(plan.sample_count);
+        let window = window_samples(plan.pulse.duration_s, rate_hz).min(plan.sample_count);
         let reach = profile.reach();
         let first_s = plan.first_sample_s - reach as f64 / rate_hz;
         let heard = Window::of_samples(first_s, rate_hz, plan.sample_count + 2 * reach);

@@ -238,7 +238,8 @@ impl WindowStatistics {
         receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
     }
 
-    /// Raises `worst` to the worst windows of an element. `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes, `bounds` hold too.
+    /// Raises `worst` to the worst windows of an element. `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes,
+    /// `bounds` hold too.
     fn find_worst(
         &mut self,
         (spec, plan): (&SonarSpec, &PingPlan),
@@ -327,7 +328,7 @@ impl WindowStatistics {
                 .map(|part| part.loudest)
                 .fold(f64::MIN_POSITIVE, f64::max);
             let crowd = (energy / loudest).max(1.0);
-            // Errors may add up where the echoes cancel.
+            // Errors may add up where the echoes cancel: to no more than their number, which is about twice their energy over the loudest's.
             let peak = match crowd {
                 ..ALONE => 1.0,
                 ..FEW => fades::worst_peak(LOOKS, OF_FEW).min(2.0 * crowd),

@@ -506,7 +506,7 @@ fn a_line_at_rest_is_predicted_from_its_windows() {
 /// A platform may be faster than an engine is designed for and its echoes within the design: then the engine makes them.
 #[test]
 fn the_error_of_an_engine_counts_beyond_its_fastest_platform() {
-    keeps_within(&BEYOND_DESIGN, 40.0);
+    keeps_within(&BEYOND_DESIGN, 6.0);
 }
 
 /// Two echoes of about the same level cancel for most of a window; their errors do not, which differ from chord to chord. The samples of the ping tell.
