@@ -132,11 +132,20 @@ pub struct EchoError {
 }
 
 impl EchoError {
-    /// In the worst window of a ping, `fading` as in [`EchoStatistics`](echotank_synthesis::error_model::EchoStatistics).
-    pub(crate) fn of_ping(self, fading: f64) -> f64 {
+    /// In the worst window of a ping that is not made, `fading` as in [`EchoStatistics`](echotank_synthesis::error_model::EchoStatistics).
+    pub(crate) fn before_ping(self, fading: f64) -> f64 {
         self.window.max(fading * self.mean)
     }
+
+    /// ... and of one that is, `tails` as there: the ends of echoes have no more than these as a whole. Of two that end together, the errors add.
+    pub(crate) fn of_ping(self, fading: f64, tails: f64) -> f64 {
+        let of_ends = (TWO * self.window).min(tails * self.mean);
+        of_ends.max(fading * self.mean)
+    }
 }
+
+/// Errors of two echoes with random phases, over that of one.
+const TWO: f64 = std::f64::consts::SQRT_2;
 
 impl Candidate {
     /// Upper bound of the relative error of element samples. The errors of path and Doppler are phases of the same echo, and add. The others are

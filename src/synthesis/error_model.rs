@@ -110,7 +110,7 @@ pub struct EchoStatistics {
     pub spread: f64,
     /// Errors of random phase in the worst window, over their rms over whole echoes. It includes the fading of the window.
     pub fading: f64,
-    /// In the worst window, the rms of all echoes that sound in it or ended just before it, each as a whole, over the level of the window.
+    /// In the worst window, the rms of all echoes that sound in it, or just before or after it, each as a whole, over the level of the window.
     /// Infinite before the samples are known: a window may hold no more than the tail of an echo.
     pub tails: f64,
     /// Distance of an element from where the path model has it, along the rays, metres, where the path model is known.

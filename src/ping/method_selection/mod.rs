@@ -825,7 +825,7 @@ impl<'a> CandidateBuilder<'a> {
                 mean: one.mean_error(),
                 window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
             };
-            let bound = of_one.of_ping(fading);
+            let bound = of_one.before_ping(fading);
             let at_rest = || {
                 let echo = one.echo_at_rest()?;
                 let resting = self.resting(echo)?;

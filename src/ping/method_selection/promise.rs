@@ -20,9 +20,13 @@ use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::error_models::{doppler_error, path_error};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 
-/// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more, the peaks of
-/// their motion tell how much greater the statistics are than those of the selection.
+/// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more,
+/// the peaks of their motion tell how much greater the statistics are than those of the selection.
 const ALL: usize = 1000;
+
+/// What windows between those that are looked at may have, over the error of these: of 367 answers of `tools/points_random.py` 5 were up to 9 % above
+/// the prediction without it.
+const BETWEEN: f64 = 1.1;
 
 /// Errors of so small a ratio are about the same.
 const ABOUT: f64 = 1.1;
@@ -221,7 +225,7 @@ impl Promise {
         let heard = windows.of_samples(spec, plan, scatterers, frames, of);
         ping.conditions.echo_statistics = Some(heard);
         if let Some(echo) = self.echo_error {
-            ping.sum = echo.of_ping(heard.fading);
+            ping.sum = echo.of_ping(heard.fading, heard.tails);
         } else if !self.synthesis.keeps_tolerance() {
             ping.sum = sum_error_model(self.synthesis, spec, plan, &ping.conditions).error;
         }
@@ -229,6 +233,6 @@ impl Promise {
         if spec.receiver.filter == ReceiverFilter::Fir || plan.pulse.taper > 0.0 {
             ping.jointly = windows.jointly(&weights);
         }
-        ping.error = self.error(plan, ping, ping.path, ping.segment_s);
+        ping.error = BETWEEN * self.error(plan, ping, ping.path, ping.segment_s);
     }
 }

@@ -33,10 +33,9 @@ const STRIDE: usize = 2;
 const BLOCKS: usize = 4;
 /// Instants of a ping at which an element's motion is tabled.
 const INSTANTS: usize = 8;
-/// Elements of an array that are looked at: both ends, and those with the largest errors as far as the ends tell. Of many scatterers only as many
-/// elements as have so many pairs.
-const ELEMENTS: usize = 4;
-const MIN_ELEMENTS: usize = 3;
+/// Elements of an array that are looked at: both ends, and those with the largest errors as far as the ends tell; as many as have so many pairs,
+/// within limits.
+const ELEMENTS: (usize, usize) = (3, 16);
 const PAIRS: usize = 3000;
 /// Logarithm of the number of windows that fade about as deep as the deepest: so many chances the errors in them have to add up.
 const LOOKS: f64 = 3.0;
@@ -45,13 +44,25 @@ const FEW: f64 = 8.0;
 /// Degrees of freedom of the energy of echoes that keep their phase differences.
 const OF_FEW: f64 = 1.0;
 
-/// Sums up to a sample: level, energy of the echoes, and the weighted sums and squares of their quantities.
+/// Sums up to a sample.
 #[derive(Clone, Copy, Default)]
 struct Upto {
     /// Samples.
     end: usize,
+    /// Step of the last sample, and what of the step's echoes counts up to it.
+    step: usize,
+    share: f64,
+    /// Step of the next sample.
+    next: usize,
+    /// Of the samples, and of the echoes that they are made of.
     level: f64,
     energy: f64,
+}
+
+/// Sums over the steps before one.
+#[derive(Clone, Copy, Default)]
+struct Before {
+    begun: f64,
     sums: [f64; TRACKED],
     squares: [f64; TRACKED],
 }
@@ -64,14 +75,24 @@ struct Worst {
     tails: f64,
 }
 
+/// What is known of windows with many echoes.
+struct Bounds {
+    amounts: [f64; TRACKED],
+    fading: f64,
+}
+
 /// Buffers for one element.
 #[derive(Default)]
 pub(super) struct WindowStatistics {
     parts: Vec<Part>,
+    before: Vec<Before>,
     upto: Vec<Upto>,
     levels: Vec<f64>,
     /// Expected energies of errors, by window.
     profile: Vec<f64>,
+    /// Elements that are looked at; and the others with the errors that are expected of them.
+    looked_at: Vec<usize>,
+    others: Vec<(f64, usize)>,
     /// Of all windows.
     amounts: Vec<[f64; TRACKED]>,
 }
@@ -89,10 +110,13 @@ impl WindowStatistics {
         let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
         let rate_hz = spec.receiver.sample_rate_hz;
         let echo = energies.mean * plan.pulse.duration_s * rate_hz;
-        let count = (PAIRS / scatterers.len().max(1)).clamp(MIN_ELEMENTS, ELEMENTS);
+        let count = (PAIRS / scatterers.len().max(1)).clamp(ELEMENTS.0, ELEMENTS.1);
         let mut before = predicted;
-        let mut bounds = [f64::INFINITY; TRACKED];
-        for (bound, value) in bounds.iter_mut().zip(quantities(&mut before)) {
+        let mut bounds = Bounds {
+            amounts: [f64::INFINITY; TRACKED],
+            fading: predicted.fading,
+        };
+        for (bound, value) in bounds.amounts.iter_mut().zip(quantities(&mut before)) {
             *bound = *value;
         }
         let mut worst = Worst {
@@ -109,24 +133,24 @@ impl WindowStatistics {
             let level_db = plan.settings.source_level_db + transmit.level_offset_db;
             let pulse = amplitude_from_db(level_db + array.sensitivity_db).powi(2) * echo;
             self.profile.clear();
-            let mut elements = [0, array.elements - 1, usize::MAX, usize::MAX];
-            for k in 0..count {
-                if k == 2 {
-                    let [first, second] = self.largest_errors(frame, window, pulse, &elements[..2]);
-                    (elements[2], elements[3]) = (first, second);
-                }
-                let element = elements[k];
-                if element == usize::MAX || elements[..k].contains(&element) {
-                    continue;
-                }
+            let ends = [0, array.elements - 1];
+            let ends = &ends[..array.elements.min(2)];
+            self.looked_at.clear();
+            self.looked_at.extend_from_slice(ends);
+            let mut k = 0;
+            while let Some(&element) = self.looked_at.get(k) {
                 self.accumulate(spec, plan, scatterers, (array, element), &energies, window);
-                if k < 2 {
+                if k < ends.len() {
                     let first = plan.first_sample_s * rate_hz;
                     self.add_to_profile(window, frame.samples, first, weights);
                 }
                 let of = (&energies, &bounds);
                 let signal = frame.element(element);
                 self.find_worst((spec, plan), signal, window, pulse, of, &mut worst);
+                k += 1;
+                if k == ends.len() {
+                    self.find_largest_errors(frame, window, pulse, count);
+                }
             }
         }
         let mut statistics = EchoStatistics {
@@ -180,20 +204,24 @@ impl WindowStatistics {
         }
     }
 
-    /// The two elements of an array in which some window has the largest error, besides `others`.
-    fn largest_errors(
+    /// Completes the elements that are looked at to `count`, by those in which some window has the largest errors.
+    fn find_largest_errors(
         &mut self,
         frame: &ElementFrame,
         window: usize,
         pulse: f64,
-        others: &[usize],
-    ) -> [usize; 2] {
+        count: usize,
+    ) {
         let block = (window / BLOCKS).max(1);
         let Self {
-            levels, profile, ..
+            levels,
+            profile,
+            looked_at,
+            others,
+            ..
         } = self;
-        let mut largest = [(0.0, usize::MAX); 2];
-        for e in (0..frame.elements).filter(|e| !others.contains(e)) {
+        others.clear();
+        for e in (0..frame.elements).filter(|e| !looked_at.contains(e)) {
             levels.clear();
             levels.resize(profile.len(), 0.0);
             let blocks = profile.len() + BLOCKS - 1;
@@ -207,14 +235,11 @@ impl WindowStatistics {
             let floor = levels.iter().copied().fold(0.0, f64::max) * noise_share();
             let errors = levels.iter().zip(&*profile);
             let errors = errors.map(|(level, error)| error / level.max(floor));
-            let error = errors.fold(0.0, f64::max);
-            if error > largest[0].0 {
-                largest = [(error, e), largest[0]];
-            } else if error > largest[1].0 {
-                largest[1] = (error, e);
-            }
+            others.push((errors.fold(0.0, f64::max), e));
         }
-        largest.map(|(_, element)| element)
+        others.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let more = count.saturating_sub(looked_at.len());
+        looked_at.extend(others.iter().take(more).map(|(_, e)| *e));
     }
 
     /// Sums the echoes of an element in [`Self::parts`], step by step.
@@ -238,33 +263,35 @@ impl WindowStatistics {
         receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
     }
 
-    /// Raises `worst` to the worst windows of an element. `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes,
-    /// `bounds` hold too.
-    fn find_worst(
-        &mut self,
-        (spec, plan): (&SonarSpec, &PingPlan),
-        signal: &[Complex64],
-        window: usize,
-        pulse: f64,
-        (energies, bounds): (&Energies, &[f64; TRACKED]),
-        worst: &mut Worst,
-    ) {
-        let rate_hz = spec.receiver.sample_rate_hz;
-        let step = window as f64 / STEPS as f64;
-        let first = plan.first_sample_s * rate_hz;
-        let step_of = |k: usize| (((first + k as f64) / step) as usize).min(self.parts.len() - 1);
-        let stride = (window / (STEPS * OFFSETS)).max(1);
-        let mut upto = std::mem::take(&mut self.upto);
+    /// Sums samples and echoes of an element in [`Self::upto`] and [`Self::before`]. `pulse`: the sum of the squares of an echo of unit strength, volts
+    /// squared; `first`: the first sample's number since the ping; `step`: samples of a step; `stride`: samples of a piece, at most.
+    fn sum_up(&mut self, signal: &[Complex64], pulse: f64, first: f64, step: f64, stride: usize) {
+        let Self {
+            parts,
+            before,
+            upto,
+            ..
+        } = self;
+        let last = parts.len() - 1;
+        let step_of = |k: usize| (((first + k as f64) / step) as usize).min(last);
+        before.clear();
+        before.resize(parts.len() + 1, Before::default());
         upto.clear();
-        upto.push(Upto::default());
+        let begins = step_of(0);
+        upto.push(Upto {
+            step: begins,
+            next: begins,
+            ..Upto::default()
+        });
+        let mut sum = Upto::default();
         let mut begin = 0;
-        while begin < signal.len() {
-            let s = step_of(begin);
-            let mut end = begin + 1;
-            while end < signal.len() && step_of(end) == s {
-                end += 1;
-            }
-            let part = &self.parts[s];
+        for (s, part) in parts.iter().enumerate() {
+            before[s + 1].begun = before[s].begun + part.begun;
+            let ends = ((s + 1) as f64 * step - first).ceil().max(0.0) as usize;
+            let end = match s == last {
+                true => signal.len(),
+                false => ends.clamp(begin, signal.len()),
+            };
             let samples = &signal[begin..end];
             let level = samples.iter().map(|x| x.norm_sqr()).sum::<f64>() / pulse;
             // A lone echo does not fade: where it has less energy than it should, its onset lies elsewhere within the step.
@@ -273,26 +300,47 @@ impl WindowStatistics {
                 true => level / part.energy,
                 false => 1.0,
             };
-            for samples in samples.chunks(stride) {
-                let mut next = upto.last().copied().unwrap_or_default();
-                let here = samples.iter().map(|x| x.norm_sqr()).sum::<f64>() / pulse;
+            sum.share = 0.0;
+            for piece in samples.chunks(stride) {
+                let here = piece.iter().map(|x| x.norm_sqr()).sum::<f64>() / pulse;
                 let share = match level > 0.0 {
                     true => here / level,
-                    false => samples.len() as f64 / (end - begin) as f64,
+                    false => piece.len() as f64 / samples.len() as f64,
                 };
-                next.end += samples.len();
-                next.level += here;
-                next.energy += scale * share * part.energy;
-                for q in 0..TRACKED {
-                    next.sums[q] += scale * share * part.sums[q];
-                    next.squares[q] += scale * share * part.squares[q];
-                }
-                upto.push(next);
+                sum.end += piece.len();
+                (sum.step, sum.next) = (s, step_of(sum.end));
+                sum.share += scale * share;
+                sum.level += here;
+                sum.energy += scale * share * part.energy;
+                upto.push(sum);
+            }
+            let heard = if samples.is_empty() { 0.0 } else { scale };
+            for q in 0..TRACKED {
+                before[s + 1].sums[q] = before[s].sums[q] + heard * part.sums[q];
+                before[s + 1].squares[q] = before[s].squares[q] + heard * part.squares[q];
             }
             begin = end;
         }
+    }
+
+    /// Raises `worst` to the worst windows of an element. `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes,
+    /// `bounds` hold too.
+    fn find_worst(
+        &mut self,
+        (spec, plan): (&SonarSpec, &PingPlan),
+        signal: &[Complex64],
+        window: usize,
+        pulse: f64,
+        (energies, bounds): (&Energies, &Bounds),
+        worst: &mut Worst,
+    ) {
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let step = window as f64 / STEPS as f64;
+        let first = plan.first_sample_s * rate_hz;
+        let stride = (window / (STEPS * OFFSETS)).max(1);
+        self.sum_up(signal, pulse, first, step, stride);
+        let pieces = self.upto.as_slice();
         // Windows of the length of a pulse or a little more, from the end of one piece to that of another.
-        let pieces = upto.as_slice();
         let windows = || {
             let mut first = 0;
             (1..pieces.len()).filter_map(move |last| {
@@ -305,58 +353,101 @@ impl WindowStatistics {
         };
         let strongest = windows().map(|(from, to)| to.level - from.level);
         let floor = strongest.fold(0.0, f64::max) * noise_share();
+        let against = |level: f64| level.max(floor).max(f64::MIN_POSITIVE);
         let independent = fades::independent_of_pulse(&plan.pulse, window as f64 / rate_hz);
-        // Echoes that began so many steps ago may still sound, or their tail in the receiver filter.
+        let peaks = (
+            fades::worst_peak(LOOKS, OF_FEW),
+            fades::worst_peak(LOOKS, independent),
+        );
+        // The receiver filter answers so long before and after an echo, and echoes that began so many steps ago may still sound.
         let tail = match spec.receiver.filter {
             ReceiverFilter::Fir => MIN_WINDOW,
             ReceiverFilter::None => 0.0,
         };
         let ago = ((plan.pulse.duration_s * rate_hz + tail) / step).ceil() as usize;
-        for (from, to) in windows() {
-            let (one, last) = (step_of(from.end), step_of(to.end - 1));
-            let level = to.level - from.level;
-            let against = level.max(floor).max(f64::MIN_POSITIVE);
-            let begun = self.parts[one.saturating_sub(ago)..=last].iter();
-            let begun: f64 = begun.map(|part| part.begun).sum();
-            worst.tails = worst.tails.max(OVERLAPPING * (begun / against).sqrt());
-            let energy = to.energy - from.energy;
-            if energy <= 0.0 {
-                continue;
+        let ahead = (tail / step).ceil() as usize;
+        let mut tails2 = 0.0f64;
+        // Of the windows that end in one step, the one that fades the most.
+        let mut deepest: Option<(f64, (&Upto, &Upto))> = None;
+        let mut amounts = std::mem::take(&mut self.amounts);
+        for window in windows() {
+            let (from, to) = window;
+            let against = against(to.level - from.level);
+            let until = (to.step + 1 + ahead).min(self.parts.len());
+            let since = from.next.saturating_sub(ago);
+            let begun = self.before[until].begun - self.before[since].begun;
+            tails2 = tails2.max(begun / against);
+            let ratio = (to.energy - from.energy) / against;
+            if let Some((_, window)) = deepest.take_if(|(_, (_, last))| last.step != to.step) {
+                amounts.extend(self.amounts_of(window, (floor, peaks), bounds, worst));
             }
-            let loudest = self.parts[one..=last]
-                .iter()
-                .map(|part| part.loudest)
-                .fold(f64::MIN_POSITIVE, f64::max);
-            let crowd = (energy / loudest).max(1.0);
-            // Errors may add up where the echoes cancel: to no more than their number, which is about twice their energy over the loudest's.
-            let peak = match crowd {
-                ..ALONE => 1.0,
-                ..FEW => fades::worst_peak(LOOKS, OF_FEW).min(2.0 * crowd),
-                _ => fades::worst_peak(LOOKS, independent),
-            };
-            let ratio = peak * energy / against;
-            worst.fading = worst.fading.max(OVERLAPPING * ratio.sqrt());
-            let heard = (level / against).sqrt();
-            let margin = if crowd < SINGLE { SAMPLED } else { OVERLAPPING };
-            let mut amounts = [0.0; TRACKED];
-            for q in 0..TRACKED {
-                let square = (to.squares[q] - from.squares[q]).max(0.0) / energy;
-                let mean = (to.sums[q] - from.sums[q]).abs() / energy;
-                let variance = (square - mean * mean).max(0.0);
-                let all = (square * ratio).sqrt();
-                let amount = all.min(mean * heard + (variance * ratio).sqrt());
-                let bound = if crowd < FEW {
-                    f64::INFINITY
-                } else {
-                    bounds[q]
-                };
-                amounts[q] = (margin * amount).min(bound);
-                worst.amounts[q] = worst.amounts[q].max(amounts[q]);
+            if deepest.is_none_or(|(most, _)| ratio > most) {
+                deepest = Some((ratio, window));
             }
-            self.amounts.push(amounts);
         }
-        self.upto = upto;
+        if let Some((_, window)) = deepest {
+            amounts.extend(self.amounts_of(window, (floor, peaks), bounds, worst));
+        }
+        self.amounts = amounts;
+        worst.tails = worst.tails.max(OVERLAPPING * tails2.sqrt());
         self.find_ends(floor, energies, worst);
+    }
+
+    /// What the quantities amount to in a window, to which `worst` is raised; none where nothing sounds. `peaks`: of few echoes and of many.
+    fn amounts_of(
+        &self,
+        (from, to): (&Upto, &Upto),
+        (floor, peaks): (f64, (f64, f64)),
+        bounds: &Bounds,
+        worst: &mut Worst,
+    ) -> Option<[f64; TRACKED]> {
+        let energy = to.energy - from.energy;
+        if energy <= 0.0 {
+            return None;
+        }
+        let level = to.level - from.level;
+        let against = level.max(floor).max(f64::MIN_POSITIVE);
+        let loudest = self.parts[from.next..=to.step]
+            .iter()
+            .map(|part| part.loudest)
+            .fold(f64::MIN_POSITIVE, f64::max);
+        let crowd = (energy / loudest).max(1.0);
+        // Errors may add up where the echoes cancel: to no more than their number, which is about twice their energy over the loudest's.
+        let peak = match crowd {
+            ..ALONE => 1.0,
+            ..FEW => peaks.0.min(2.0 * crowd),
+            _ => peaks.1,
+        };
+        let ratio = peak * energy / against;
+        let faded = OVERLAPPING * ratio.sqrt();
+        worst.fading = worst.fading.max(if crowd < FEW {
+            faded
+        } else {
+            faded.min(bounds.fading)
+        });
+        let heard = (level / against).sqrt();
+        let margin = if crowd < SINGLE { SAMPLED } else { OVERLAPPING };
+        let mut amounts = [0.0; TRACKED];
+        for (q, amount) in amounts.iter_mut().enumerate() {
+            let [begin, end] = [from, to].map(|upto| {
+                let (before, part) = (&self.before[upto.step], &self.parts[upto.step]);
+                let sum = before.sums[q] + upto.share * part.sums[q];
+                let square = before.squares[q] + upto.share * part.squares[q];
+                (sum, square)
+            });
+            let square = (end.1 - begin.1).max(0.0) / energy;
+            let mean = (end.0 - begin.0).abs() / energy;
+            let variance = (square - mean * mean).max(0.0);
+            let all = (square * ratio).sqrt();
+            let sum = all.min(mean * heard + (variance * ratio).sqrt());
+            let bound = match crowd < FEW {
+                true => f64::INFINITY,
+                false => bounds.amounts[q],
+            };
+            *amount = (margin * sum).min(bound);
+            worst.amounts[q] = worst.amounts[q].max(*amount);
+        }
+        Some(amounts)
     }
 
     /// Raises `worst` to the quantities of windows with no more than the ends of echoes, which may be cut anywhere.

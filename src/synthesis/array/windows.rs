@@ -52,13 +52,15 @@ pub(super) struct SingleEchoErrors {
     pub window: f64,
     /// Of the whole echo, mean square over its positions between two samples.
     pub whole: f64,
+    /// Of the whole echo, at its worst position.
+    pub whole_at_worst: f64,
 }
 
 impl SingleEchoErrors {
-    /// In the worst window of a ping with `fading` and `tails` as in [`EchoStatistics`](crate::error_model::EchoStatistics): what is left of the end of an echo is no more than its whole
-    /// error.
+    /// In the worst window of a ping with `fading` and `tails` as in [`EchoStatistics`](crate::error_model::EchoStatistics): the end of an echo has no
+    /// more than its whole error.
     pub(super) fn of_ping(self, fading: f64, tails: f64) -> f64 {
-        let of_ends = self.window.min(tails * self.whole);
+        let of_ends = self.window.min(tails * self.whole_at_worst);
         of_ends.max(fading * self.whole).min(MOST)
     }
 }
@@ -91,6 +93,7 @@ pub(super) fn window_error(
     let error = SingleEchoErrors {
         window: MORE * worst.window,
         whole: MORE * worst.whole,
+        whole_at_worst: MORE * worst.whole_at_worst,
     };
     let mut results = results();
     if results.len() >= KEPT {
@@ -200,12 +203,14 @@ impl<'a> SingleEcho<'a> {
         let mut worst = SingleEchoErrors {
             window: 0.0,
             whole: 0.0,
+            whole_at_worst: 0.0,
         };
         for &doppler in dopplers {
             let mut square = 0.0;
             for place in PLACES {
                 let errors = self.at(place, doppler);
                 worst.window = worst.window.max(errors.window);
+                worst.whole_at_worst = worst.whole_at_worst.max(errors.whole);
                 square += errors.whole.powi(2) / PLACES.len() as f64;
             }
             worst.whole = worst.whole.max(square.sqrt());
@@ -289,9 +294,11 @@ impl<'a> SingleEcho<'a> {
             .map(|(off, here)| off / here.max(floor))
             .fold(0.0, f64::max);
         let [off, all] = [off, all].map(|energies| energies.iter().sum::<f64>());
+        let whole = (off / all).sqrt();
         SingleEchoErrors {
             window: worst.sqrt(),
-            whole: (off / all).sqrt(),
+            whole,
+            whole_at_worst: whole,
         }
     }
 
