@@ -17,7 +17,7 @@ use echotank_core::model::DopplerModel;
 use echotank_core::pulse::Pulse;
 use echotank_core::simd::SimdLevel;
 
-use super::dopplers::{Columns, MAX_TAPS};
+use super::dopplers::{Band, Columns, CurvatureFit, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places};
 use super::spread::{LANES, NARROW, QUARTER, lanes_for};
@@ -31,6 +31,8 @@ const CURVATURE_SHARE: f64 = 0.1;
 pub(super) const BEYOND_SHARE: f64 = 0.05;
 /// Shares of the tolerance, as energy, to try for the columns.
 const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
+/// Frequencies of a cosine flank, in inverses of its length: beyond it they are a thirtieth of those of an edge.
+const FLANK: f64 = 3.0;
 /// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of a single echo.
 const FLATNESS: [f64; 2] = [1.0, 0.5];
 /// Smallest supported tolerance: at 3e-4, onsets of many echoes were measured 1.1 times above it.
@@ -189,16 +191,46 @@ struct ErrorParts {
     curvature_rad_s: f64,
     /// Largest error by curvature where weights carry it.
     curvature_room: f64,
+    /// Half the bandwidth of a sweep over the carrier, negative if it falls.
+    wide: f64,
 }
 
 impl ErrorParts {
-    fn of_curvature(&self, taps: usize, curvature_per_s: f64) -> f64 {
+    fn of_curvature(&self, columns: &Columns, curvature_per_s: f64) -> f64 {
         let curvature_rad = self.curvature_rad_s * curvature_per_s;
-        match taps {
-            ..3 => worst_of_even(self.fading, 0.3 * curvature_rad, 2.2),
+        let (first, second) = self.curvature_terms(columns);
+        let error = (first * curvature_rad).hypot(second * curvature_rad * curvature_rad);
+        match columns.taps {
+            ..3 => error,
+            _ => error.min(self.curvature_room),
+        }
+    }
+
+    /// Largest phase at the ends of the pulse that leaves room for other errors.
+    fn max_curvature_rad(&self, columns: &Columns) -> f64 {
+        if columns.taps < 3 {
+            return f64::INFINITY;
+        }
+        // Of the sum of both squares.
+        let (first, second) = self.curvature_terms(columns);
+        let (first, second) = (first * first, 2.0 * second * self.curvature_room);
+        let room = self.curvature_room;
+        (2.0 * room * room / (first + first.hypot(second))).sqrt()
+    }
+
+    /// Error in the worst window for a phase of 1 rad at the ends of the pulse: what the weights leave out in proportion to it, and to its square. With two
+    /// columns u^2 + wide u^3 is left out; the rms of half the square of u^2 less its mean is 0.06.
+    fn curvature_terms(&self, columns: &Columns) -> (f64, f64) {
+        let most = 1.0 + self.wide.abs();
+        match columns.taps {
+            ..3 => {
+                let rms = (1.0 / 5.0 + self.wide * self.wide / 7.0).sqrt();
+                (worst_of_even(self.fading, rms, most / rms), 0.0)
+            }
             _ => {
-                let second = 0.06 * curvature_rad * curvature_rad;
-                worst_of_even(self.fading, second, 4.0).min(self.curvature_room)
+                let CurvatureFit { rms, end, .. } = columns.curvature;
+                let second = worst_of_even(self.fading, 0.06 * most * most, 4.0);
+                (worst_of_even(self.fading, rms, end), second)
             }
         }
     }
@@ -438,6 +470,14 @@ impl Design {
         let (echoes, samples) = (spec.scatterers as f64, spec.samples);
 
         let moving = spec.doppler != DopplerModel::None;
+        // Flanks of the pulse have few frequencies beyond the band.
+        let flank_s = 0.5 * pulse.taper * pulse.duration_s;
+        let beside_hz = 0.5 * pulse.sweep_hz_per_s().abs() * pulse.duration_s + FLANK / flank_s;
+        let band = Band {
+            wide: 0.5 * pulse.sweep_hz_per_s() * pulse.duration_s / carrier_hz,
+            highest: beside_hz.min(0.5 * rate_hz) / carrier_hz,
+            models_curvature: spec.doppler == DopplerModel::StretchQuadratic,
+        };
         let turn_per_stretch = PI * carrier_hz * pulse.duration_s;
         let candidates: Vec<Columns> = match moving {
             false => vec![Columns::one()],
@@ -445,12 +485,11 @@ impl Design {
                 .flat_map(|taps| COLUMN_SHARES.map(|share| (taps, share)))
                 .map(|(taps, share)| {
                     let rms = tolerance * share.sqrt() / worst_of_columns(taps, 1.0);
-                    Columns::fit(taps, rms)
+                    Columns::fit(taps, rms, band)
                 })
                 .collect(),
         };
-        // The change of the Doppler during the pulse: left out with two columns, to first order with more. The rms of q^2 less its mean is 0.3, that of
-        // half its square 0.06; both are largest at the ends of the pulse.
+        // The change of the Doppler during the pulse: left out with two columns, to first order with more.
         let curvature_room = tolerance * CURVATURE_SHARE.sqrt();
         let no_kernel = ErrorParts {
             kernel: 0.0,
@@ -465,13 +504,10 @@ impl Design {
             },
             curvature_rad_s: 0.5 * PI * carrier_hz * pulse.duration_s.powi(2),
             curvature_room,
+            wide: band.wide,
         };
         let of_curvature =
-            |columns: &Columns| no_kernel.of_curvature(columns.taps, no_kernel.curvature_per_s);
-        let max_curvature_rad = |columns: &Columns| match columns.taps {
-            ..3 => f64::INFINITY,
-            _ => (curvature_room / worst_of_even(fading, 0.06, 4.0)).sqrt(),
-        };
+            |columns: &Columns| no_kernel.of_curvature(columns, no_kernel.curvature_per_s);
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
         let places = kernels.iter_mut().zip(DENSITIES);
@@ -542,10 +578,10 @@ impl Design {
             let rest = 1.0 - PATH_SHARE - COLUMN_SHARES[0] - CURVATURE_SHARE - BEYOND_SHARE;
             finest = finest.min(kernel_error / rest.sqrt());
             for columns in &candidates {
-                let of_doppler = of_columns(columns).hypot(of_curvature(columns));
-                let error = kernel_error
-                    .hypot(of_doppler)
+                let others = kernel_error
+                    .hypot(of_columns(columns))
                     .hypot(path_error.hypot(beyond_error));
+                let error = others.hypot(of_curvature(columns));
                 if !(error <= tolerance && cheaper(&columns, &best)) {
                     continue;
                 }
@@ -556,11 +592,20 @@ impl Design {
                         (stretch(spec.fastest_m_per_s, c) / step).ceil() as usize + columns.taps
                     }
                 };
+                // What the others leave of the tolerance.
+                let parts = ErrorParts {
+                    kernel: kernel_error,
+                    columns: of_columns(columns),
+                    curvature_room: (tolerance * tolerance - others * others).max(0.0).sqrt(),
+                    ..no_kernel
+                };
+                let of_curvature = parts.of_curvature(columns, parts.curvature_per_s);
+                let error = others.hypot(of_curvature);
                 best = Some(Self {
                     kernel,
                     columns: *columns,
                     step,
-                    max_curvature_rad: max_curvature_rad(columns),
+                    max_curvature_rad: parts.max_curvature_rad(columns),
                     reach,
                     slab_samples,
                     slab_rows,
@@ -579,11 +624,7 @@ impl Design {
                             columns.taps, step
                         ),
                     },
-                    parts: ErrorParts {
-                        kernel: kernel_error,
-                        columns: of_columns(columns),
-                        ..no_kernel
-                    },
+                    parts,
                     echo: None,
                     effort: effort(columns),
                 });
@@ -624,8 +665,12 @@ impl Design {
             true => 0.0,
             false => beyond,
         };
-        let curvature_per_s = curvature_per_s.min(motion.curvature_per_s);
-        let curvature = self.parts.of_curvature(self.columns.taps, curvature_per_s);
+        // Accelerations add to what the design allows for.
+        let curvature_per_s = match curvature_per_s > 0.0 && motion.curvature_per_s.is_finite() {
+            true => motion.curvature_per_s,
+            false => curvature_per_s,
+        };
+        let curvature = self.parts.of_curvature(&self.columns, curvature_per_s);
         [kernel, columns, path, beyond, curvature]
             .into_iter()
             .fold(0.0, f64::hypot)

@@ -392,7 +392,7 @@ impl GriddedLines {
         let models_curvature = self.models_curvature;
         let max_curvature_rad = self.design.max_curvature_rad as f32;
         let half_s = 0.5 * plan.pulse.duration_s;
-        let rad_per_curvature = TAU * plan.pulse.center_frequency_hz * half_s * half_s;
+        let carrier_hz = plan.pulse.center_frequency_hz;
         let (tracks, geometry) = (&state.tracks, &state.geometry);
         state.batches[..batches]
             .par_iter_mut()
@@ -429,7 +429,7 @@ impl GriddedLines {
                         }
                         if models_curvature {
                             let curvature_per_s = &solved.curvature_per_s;
-                            turn_by_mean_curvature(chunk, curvature_per_s, rad_per_curvature);
+                            delay_by_curvature(chunk, curvature_per_s, half_s, carrier_hz);
                         }
                         let most = (reach + 1) as f32;
                         let middles = &solved.middle_s[count / 2];
@@ -618,7 +618,9 @@ impl GriddedLines {
             weights: narrow(&columns.weights),
             curvature_weights: self
                 .models_curvature
-                .then(|| narrow(&columns.curvature_weights)),
+                .then(|| narrow(&columns.curvature.imaginary)),
+            sweep_weights: (self.models_curvature && plan.pulse.sweep_hz_per_s() != 0.0)
+                .then(|| narrow(&columns.curvature.real)),
             width: kernel.width as f32,
             terms: kernel.terms.map(|term| term as f32),
             turns_per_row: carrier_hz / self.rows_per_s(),
@@ -805,17 +807,21 @@ fn expand(
     }
 }
 
-/// Sets the phases at the ends of the pulse from the change of the Doppler, and turns amplitudes by the mean over the pulse; the weights of the columns
-/// do the rest.
+/// Sets the phases at the ends of the pulse from the change of the Doppler. Delays echoes without the phase of the carrier, and turns them by the mean over
+/// the pulse; the weights of the columns do the rest, see [`dopplers`](super::dopplers).
 #[inline(always)]
-fn turn_by_mean_curvature(
+fn delay_by_curvature(
     chunk: &mut EchoChunk,
     curvature_per_s: &[f64; CHUNK],
-    rad_per_curvature: f64,
+    half_s: f64,
+    carrier_hz: f64,
 ) {
+    let half2_s2 = half_s * half_s;
+    let rad_per_curvature = TAU * carrier_hz * half2_s2;
     for (i, curvature_per_s) in curvature_per_s.iter().enumerate() {
+        chunk.middle[i] += curvature_per_s * half2_s2;
         chunk.curvature_rad[i] = (curvature_per_s * rad_per_curvature) as f32;
-        let x = MEAN_CURVATURE as f32 * chunk.curvature_rad[i];
+        let x = (MEAN_CURVATURE + 1.0) as f32 * chunk.curvature_rad[i];
         let (sine, cosine) = (x - x * x * x / 6.0, 1.0 - 0.5 * x * x);
         let (re, im) = (chunk.re[i], chunk.im[i]);
         chunk.re[i] = re * cosine - im * sine;

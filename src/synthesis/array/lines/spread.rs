@@ -107,8 +107,9 @@ pub(super) struct Shape {
     pub first_column: i32,
     pub taps: usize,
     pub weights: [[f32; WEIGHT_TERMS]; MAX_TAPS],
-    /// Those of the change of the Doppler during the pulse, if it counts.
+    /// Imaginary and real parts of those of the change of the Doppler during the pulse, if it counts; the real parts with a sweep only.
     pub curvature_weights: Option<[[f32; WEIGHT_TERMS]; MAX_TAPS]>,
+    pub sweep_weights: Option<[[f32; WEIGHT_TERMS]; MAX_TAPS]>,
     /// Width of the kernel, rows, and its coefficients.
     pub width: f32,
     pub terms: [f32; TERMS],
@@ -414,13 +415,29 @@ fn locate<const L: usize, const FUSED: bool>(
         .take(shape.taps)
     {
         for i in 0..CHUNK {
-            let mut sum = terms[WEIGHT_TERMS - 1];
-            for term in terms[..WEIGHT_TERMS - 1].iter().rev() {
-                sum = mul_add::<FUSED>(sum, at[i], *term);
-            }
-            weight[i] = sum * chunk.curvature_rad[i];
+            weight[i] = polynomial::<FUSED>(terms, at[i]) * chunk.curvature_rad[i];
         }
     }
+    let Some(sweep_weights) = &shape.sweep_weights else {
+        return;
+    };
+    let weights = out.weight.iter_mut().zip(sweep_weights);
+    for (weight, terms) in weights.take(shape.taps) {
+        for i in 0..CHUNK {
+            let sum = polynomial::<FUSED>(terms, at[i]);
+            weight[i] = mul_add::<FUSED>(sum, chunk.curvature_rad[i], weight[i]);
+        }
+    }
+}
+
+/// Horner's scheme.
+#[inline(always)]
+fn polynomial<const FUSED: bool>(terms: &[f32; WEIGHT_TERMS], x: f32) -> f32 {
+    let mut sum = terms[WEIGHT_TERMS - 1];
+    for term in terms[..WEIGHT_TERMS - 1].iter().rev() {
+        sum = mul_add::<FUSED>(sum, x, *term);
+    }
+    sum
 }
 
 /// Cosine and sine of `x` turns, |x| < 2^22; error 7e-7.

@@ -243,6 +243,74 @@ fn echoes_whose_doppler_changes_too_much_are_counted() {
     assert!(counts(9.0) > 0);
 }
 
+/// The frequency at the ends of a sweep is not that of the carrier: Dopplers, and their changes during the pulse, turn both ends by different phases.
+#[test]
+fn sweeps_of_any_relative_bandwidth_keep_the_tolerance_until_echoes_are_counted() {
+    use echotank_core::pulse::PulseKind::{Cw, LfmDown, LfmUp};
+    let mut kept = 0;
+    for (kind, carrier_hz, bandwidth_hz, duration_s, taper) in [
+        (LfmUp, 36e3, 27e3, 10e-3, 0.5),
+        (LfmUp, 36e3, 27e3, 10e-3, 0.0),
+        (LfmUp, 36e3, 27e3, 3e-3, 0.0),
+        (LfmDown, 60e3, 30e3, 10e-3, 0.1),
+        (LfmUp, 100e3, 10e3, 8e-3, 0.0),
+        (Cw, 100e3, 0.0, 0.5e-3, 0.0),
+        (LfmDown, 400e3, 30e3, 5e-3, 0.0),
+        (Cw, 36e3, 0.0, 10e-3, 0.0),
+        (Cw, 200e3, 0.0, 5e-3, 0.5),
+    ] {
+        for (doppler, speed_m_per_s) in [
+            (DopplerModel::Stretch, 10.0),
+            (DopplerModel::StretchQuadratic, 2.0),
+            (DopplerModel::StretchQuadratic, 4.0),
+            (DopplerModel::StretchQuadratic, 6.0),
+            (DopplerModel::StretchQuadratic, 10.0),
+        ] {
+            let drawn = Draw {
+                velocity_m_per_s: DVec3::new(speed_m_per_s, 0.0, 0.0),
+                scatterers: 12,
+                elements: 20,
+                taper,
+                ..SCENE
+            };
+            let mut scene = draw(drawn);
+            scene.plan.pulse.kind = kind;
+            scene.plan.pulse.center_frequency_hz = carrier_hz;
+            scene.plan.pulse.bandwidth_hz = bandwidth_hz;
+            scene.plan.pulse.duration_s = duration_s;
+            scene.plan.model.doppler = doppler;
+            let doppler_hz = 2.1 * speed_m_per_s / echotank_testing::echo::C * carrier_hz;
+            let pulse = &scene.plan.pulse;
+            let decimator =
+                echotank_synthesis::array::Decimator::new(pulse, RATE_HZ, doppler_hz, 32);
+            scene.decimator = decimator.expect("fits");
+            for tolerance in [5e-4, 5e-3] {
+                let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
+                let (leg, _) = scene.transmit_leg();
+                let count = scene.plan.sample_count;
+                let mut iq = vec![Complex64::ZERO; scene.rx.elements * count];
+                let counts = engine.synthesise(&scene.plan, &leg, &mut iq);
+                let errors = [0, 11, 19].map(|element| {
+                    let want = truth(&scene, element, false);
+                    worst(&iq[element * count..][..count], &want, duration_s)
+                });
+                let error = errors.into_iter().fold(0.0, f64::max);
+                println!(
+                    "{kind:?} {carrier_hz} Hz, {bandwidth_hz} Hz, {duration_s} s, taper {taper}, {doppler:?}, {speed_m_per_s} m/s: asked {tolerance:.0e}, delivered {error:.1e}, {} beyond; {}",
+                    counts.beyond_engine,
+                    engine.error_model().why
+                );
+                if counts.beyond_engine == 0 {
+                    assert!(error <= tolerance, "{error:e} of {tolerance:e}");
+                    kept += 1;
+                }
+            }
+        }
+    }
+    println!("{kept} within the design");
+    assert!(kept >= 70, "{kept}");
+}
+
 #[test]
 fn what_the_engine_cannot_keep_is_refused() {
     let scene = short(SCENE, 0.4e-3, 0.0);
