@@ -27,6 +27,10 @@ use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_eve
 const PATH_SHARE: f64 = 0.1;
 /// Share of the tolerance, as energy, that the change of the Doppler during the pulse may use, with three taps and more.
 const CURVATURE_SHARE: f64 = 0.1;
+/// Shares of the tolerance, as energy, that the change of the Doppler along a block may use: its second order where weights do not follow it, and its third,
+/// which they never do. Both are largest at the ends of the pulse and of the block, and not part of the predicted error.
+const STRAIGHT_SHARE: f64 = 0.04;
+const SWING_SHARE: f64 = 0.25;
 /// Share of the tolerance, as energy, that echoes with a Doppler beyond all columns may use.
 pub(super) const BEYOND_SHARE: f64 = 0.05;
 /// Shares of the tolerance, as energy, to try for the columns.
@@ -155,6 +159,10 @@ pub struct Design {
     pub(super) step: f64,
     /// Largest phase at the ends of the pulse from the change of the Doppler, radians; echoes beyond it are counted.
     pub(super) max_curvature_rad: f64,
+    /// Phase at the ends of the pulse that the second order of the Doppler along a block may make unless weights follow it, radians.
+    pub(super) straight_rad: f64,
+    /// Largest change of the phase at the ends of the pulse from the middle of a block to its end, radians; echoes beyond it are counted.
+    pub(super) max_swing_rad: f64,
     /// Columns to either side of zero Doppler.
     pub(super) reach: usize,
     /// Samples and grid rows of a slab's transform.
@@ -605,6 +613,11 @@ impl Design {
                     kernel,
                     columns: *columns,
                     step,
+                    straight_rad: STRAIGHT_SHARE.sqrt() * tolerance
+                        / worst_of_even(fading, 1.0 / 5f64.sqrt(), 5f64.sqrt()),
+                    max_swing_rad: (6.0 * SWING_SHARE.sqrt() * tolerance
+                        / worst_of_even(fading, 1.0 / 7f64.sqrt(), 7f64.sqrt()))
+                    .cbrt(),
                     max_curvature_rad: parts.max_curvature_rad(columns),
                     reach,
                     slab_samples,

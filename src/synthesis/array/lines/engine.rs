@@ -390,6 +390,12 @@ impl GriddedLines {
             state.batches.resize_with(batches, Batch::default);
         }
         let models_curvature = self.models_curvature;
+        // Change of the Doppler along a block, of that between the first and the last node; steps.
+        let half_block_m = 0.5 * array.elements.min(LANES) as f64 * spacing_m;
+        let block_share = half_block_m / (state.along_m[count - 1] - state.along_m[0]);
+        let max_swing = (self.design.max_swing_rad
+            / self.design.columns.turn_rad.max(1e-12)
+            / block_share) as f32;
         let max_curvature_rad = self.design.max_curvature_rad as f32;
         let half_s = 0.5 * plan.pulse.duration_s;
         let carrier_hz = plan.pulse.center_frequency_hz;
@@ -453,7 +459,9 @@ impl GriddedLines {
                             let (gain, re, im) =
                                 (chunk.gain[gains / 2][i], chunk.re[i], chunk.im[i]);
                             energy[i] = gain * gain * (re * re + im * im);
+                            let swing = (chunk.doppler[gains - 1][i] - chunk.doppler[0][i]).abs();
                             let fast = (chunk.doppler[gains / 2][i].abs() > most)
+                                | (swing > max_swing)
                                 | (models_curvature
                                     & (chunk.curvature_rad[i].abs() > max_curvature_rad));
                             beyond += u64::from(inside & (fast | enough.is_none()));
@@ -615,6 +623,8 @@ impl GriddedLines {
             columns: slab.columns,
             first_column: slab.first_column,
             taps: columns.taps,
+            turn_rad: columns.turn_rad as f32,
+            straight_rad: self.design.straight_rad as f32,
             weights: narrow(&columns.weights),
             curvature_weights: self
                 .models_curvature

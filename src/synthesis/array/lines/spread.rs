@@ -106,6 +106,10 @@ pub(super) struct Shape {
     pub columns: usize,
     pub first_column: i32,
     pub taps: usize,
+    /// Phase at the ends of the pulse between neighbouring columns, radians, and the largest that the second order along a block may make unless
+    /// weights follow it.
+    pub turn_rad: f32,
+    pub straight_rad: f32,
     pub weights: [[f32; WEIGHT_TERMS]; MAX_TAPS],
     /// Imaginary and real parts of those of the change of the Doppler during the pulse, if it counts; the real parts with a sweep only.
     pub curvature_weights: Option<[[f32; WEIGHT_TERMS]; MAX_TAPS]>,
@@ -153,6 +157,9 @@ pub(super) struct Located {
     weight: [[f32; CHUNK]; MAX_TAPS],
     /// Change of the weight per element, from the change of the Doppler along the block.
     weight_slope: [[f32; CHUNK]; MAX_TAPS],
+    /// Its change per element squared, where any echo needs it.
+    weight_square: [[f32; CHUNK]; MAX_TAPS],
+    bends: bool,
     /// Imaginary part of the weight.
     weight_im: [[f32; CHUNK]; MAX_TAPS],
 }
@@ -176,6 +183,8 @@ impl Default for Located {
             column: none,
             weight: [zero; MAX_TAPS],
             weight_slope: [zero; MAX_TAPS],
+            weight_square: [zero; MAX_TAPS],
+            bends: false,
             weight_im: [zero; MAX_TAPS],
         }
     }
@@ -372,6 +381,7 @@ fn locate<const L: usize, const FUSED: bool>(
     out.im = chunk.im;
     out.gain = [[0.0; CHUNK]; GAIN_TERMS];
     let (mut at, mut at_slope) = ([0.0f32; CHUNK], [0.0f32; CHUNK]);
+    let mut at_square = [0.0f32; CHUNK];
     for k in 0..shape.gain_nodes.clamp(1, MAX_GAIN_NODES) {
         let (gain, doppler) = (&chunk.gain[k], &chunk.doppler[k]);
         for (sum, terms) in out.gain.iter_mut().zip(&block.gain) {
@@ -382,8 +392,19 @@ fn locate<const L: usize, const FUSED: bool>(
         for i in 0..CHUNK {
             at[i] = mul_add::<FUSED>(block.gain[0][k], doppler[i], at[i]);
             at_slope[i] = mul_add::<FUSED>(block.gain[1][k], doppler[i], at_slope[i]);
+            at_square[i] = mul_add::<FUSED>(block.gain[2][k], doppler[i], at_square[i]);
         }
     }
+    let (slope_rad, square_rad) = (
+        shape.turn_rad * middle(L),
+        shape.turn_rad * middle(L) * middle(L),
+    );
+    let mut bend_rad = 0.0f32;
+    for (slope, square) in at_slope.iter().zip(&at_square).take(chunk.len) {
+        let slope = slope * slope_rad;
+        bend_rad = greater(bend_rad, 0.5 * slope * slope + (square * square_rad).abs());
+    }
+    out.bends = bend_rad > shape.straight_rad;
     let middle = 0.5 * (shape.taps as f32 - 1.0);
     let greatest = (shape.columns - shape.taps) as f32;
     for (at, to) in at.iter_mut().zip(&mut out.column) {
@@ -403,6 +424,21 @@ fn locate<const L: usize, const FUSED: bool>(
             }
             weight[i] = sum;
             change[i] = slope * at_slope[i];
+        }
+    }
+    if out.bends {
+        let squares = out.weight_square.iter_mut().zip(&shape.weights);
+        for (square, terms) in squares.take(shape.taps) {
+            for i in 0..CHUNK {
+                // With half the second derivative.
+                let (mut sum, mut slope, mut half) = (terms[WEIGHT_TERMS - 1], 0.0, 0.0);
+                for term in terms[..WEIGHT_TERMS - 1].iter().rev() {
+                    half = mul_add::<FUSED>(half, at[i], slope);
+                    slope = mul_add::<FUSED>(slope, at[i], sum);
+                    sum = mul_add::<FUSED>(sum, at[i], *term);
+                }
+                square[i] = half * at_slope[i] * at_slope[i] + slope * at_square[i];
+            }
         }
     }
     let Some(curvature_weights) = &shape.curvature_weights else {
@@ -533,8 +569,11 @@ unsafe fn spread<V: Lanes<Number = f32>, const L: usize, const TAPS: usize>(
                 // A loop: closures that are not inlined would call every instruction.
                 let mut parts = [(re, im); TAPS];
                 for (tap, part) in parts.iter_mut().enumerate() {
-                    let weight = V::splat(located.weight_slope[tap][i])
-                        .mul_add(place, V::splat(located.weight[tap][i]));
+                    let mut slope = V::splat(located.weight_slope[tap][i]);
+                    if located.bends {
+                        slope = V::splat(located.weight_square[tap][i]).mul_add(place, slope);
+                    }
+                    let weight = slope.mul_add(place, V::splat(located.weight[tap][i]));
                     *part = (re.mul(weight), im.mul(weight));
                     if shape.curvature_weights.is_some() {
                         let across = V::splat(located.weight_im[tap][i]);
