@@ -24,7 +24,8 @@
 //!
 //! Sources: Fessler and Sutton 2003 (nonuniform FFT, least-squares kernels); Meng et al. 2023 (the echo model).
 //!
-//! The change of the Doppler during the pulse adds a phase that is quadratic in time: its mean over the pulse to the amplitude, the rest to the weights.
+//! The change of the Doppler during the pulse adds a phase that is quadratic in time: its mean over the pulse to the amplitude, and a delay of both ends to
+//! the rows; the rest to the weights. See `dopplers`.
 //!
 //! Not modelled: most of the energy beyond half the sample rate, which the receiver filter attenuates by 82 dB and more.
 
