@@ -7,6 +7,7 @@
 pub mod costs;
 mod culled;
 pub mod echo_statistics;
+mod edges;
 pub(crate) mod fades;
 pub mod live;
 mod moving;
