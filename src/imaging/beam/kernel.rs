@@ -188,7 +188,7 @@ unsafe fn add_avx2(
     to_im: &mut [f32],
 ) {
     use std::arch::x86_64::*;
-    /// Number of vectors of 8 that fit the 16 registers.
+    /// Number of vectors of 8 whose four sums fit the 16 registers.
     const V: usize = 2;
     for (first, (to_re, to_im)) in (0..)
         .step_by(8 * V)
@@ -196,6 +196,9 @@ unsafe fn add_avx2(
     {
         let mut re = [_mm256_setzero_ps(); V];
         let mut im = [_mm256_setzero_ps(); V];
+        // As with AVX-512, no product waits for another of the same tap.
+        let mut more_re = [_mm256_setzero_ps(); V];
+        let mut more_im = [_mm256_setzero_ps(); V];
         for (start, w_re, w_im) in taps.iter() {
             let (w_re, w_im) = (_mm256_set1_ps(w_re), _mm256_set1_ps(w_im));
             // SAFETY: the caller guarantees the rows.
@@ -206,10 +209,14 @@ unsafe fn add_avx2(
                     let x_im = _mm256_loadu_ps(row.add(imaginary + 8 * v));
                     re[v] = _mm256_fmadd_ps(w_re, x_re, re[v]);
                     im[v] = _mm256_fmadd_ps(w_re, x_im, im[v]);
-                    re[v] = _mm256_fnmadd_ps(w_im, x_im, re[v]);
-                    im[v] = _mm256_fmadd_ps(w_im, x_re, im[v]);
+                    more_re[v] = _mm256_fnmadd_ps(w_im, x_im, more_re[v]);
+                    more_im[v] = _mm256_fmadd_ps(w_im, x_re, more_im[v]);
                 }
             }
+        }
+        for v in 0..V {
+            re[v] = _mm256_add_ps(re[v], more_re[v]);
+            im[v] = _mm256_add_ps(im[v], more_im[v]);
         }
         let (mut sum_re, mut sum_im) = ([0.0f32; 8 * V], [0.0f32; 8 * V]);
         for v in 0..V {

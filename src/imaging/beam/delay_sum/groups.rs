@@ -258,23 +258,34 @@ impl Groups {
         foci: &Foci,
         mix: &mut Mix,
     ) {
-        let is_focused = steering.is_focused();
-        let cycles_per_m = steering.cycles_per_m();
+        let (cycles_per_m, mach) = (steering.cycles_per_m(), steering.mach());
         for (g, grid) in directions.of_group[..self.parts.len()].iter().enumerate() {
             let last = (grid.count - TAPS) as i32;
             let (x, before) = (self.x_m[g], grid.before as i32);
-            let mut at = [0.0f32; BEAMS];
-            for (i, at) in at.iter_mut().enumerate() {
-                let focus = foci.at(i);
-                let mut index = seen.at[g][i];
-                if is_focused {
-                    index += (seen.slope[g][i] - focus.leg(x).1) * seen.per_slope[g][i];
+            let mut at = seen.at[g];
+            let mut late_m = [0.0f32; BEAMS];
+            // Loops without branches or divisions of f64, so that they vectorise.
+            match steering.is_focused() {
+                true => {
+                    for i in 0..BEAMS {
+                        let (late, slope) = foci.at(i).late_m(mach, x);
+                        late_m[i] = late;
+                        at[i] += (seen.slope[g][i] - slope) * seen.per_slope[g][i];
+                    }
                 }
-                let first = (whole_number(index - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
-                *at = index - first as f32 - (TAPS / 2) as f32 + 0.5;
-                mix.first[g][i] = (before + first) as u32;
-                let (sin, cos) = turn(steering.late_m(&focus, x) * cycles_per_m);
-                (mix.sin[g][i], mix.cos[g][i]) = (sin, cos);
+                false => {
+                    for (i, late_m) in late_m.iter_mut().enumerate() {
+                        *late_m = foci.at(i).far_late_m(x);
+                    }
+                }
+            }
+            for (at, to) in at.iter_mut().zip(&mut mix.first[g]) {
+                let first = (whole_number(*at - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
+                *at = *at - first as f32 - (TAPS / 2) as f32 + 0.5;
+                *to = (before + first) as u32;
+            }
+            for (i, late_m) in late_m.iter().enumerate() {
+                (mix.sin[g][i], mix.cos[g][i]) = turn(late_m * cycles_per_m);
             }
             for (t, terms) in self.kernel.iter().enumerate() {
                 for (i, at) in at.iter().enumerate() {

@@ -13,6 +13,9 @@ use echotank_core::simd::{Kind, SimdLevel};
 /// Maximum number of samples per call.
 pub(super) const CHUNK: usize = 32;
 
+/// Numbers that a step reads from its first direction on.
+const REACH: usize = (TAPS - 1) * 2 * CHUNK + CHUNK + STEP;
+
 /// Sums of each section: real parts, imaginary parts.
 pub(super) type Totals = [[[f32; CHUNK]; 2]; MAX_SECTIONS];
 
@@ -90,9 +93,11 @@ fn sum_plain<const FUSED: bool>(
             for g in section.clone() {
                 let first = mix.first[g][beam] as usize * 2 * CHUNK + origin + step * STEP;
                 let (mut re, mut im) = ([0.0f32; STEP], [0.0f32; STEP]);
+                // Checked once.
+                let rows: &[f32; REACH] = rows[first..][..REACH].try_into().expect("as long");
                 for t in 0..TAPS {
                     let w = mix.w[g][t][beam];
-                    let from = &rows[first + t * 2 * CHUNK..][..CHUNK + STEP];
+                    let from = &rows[t * 2 * CHUNK..][..CHUNK + STEP];
                     for k in 0..STEP {
                         re[k] = add(w, from[k], re[k]);
                         im[k] = add(w, from[CHUNK + k], im[k]);

@@ -45,6 +45,21 @@ impl Focus {
         let q = q2.max(1e-12).sqrt();
         (q, (x - self.d_m[0]) / q)
     }
+
+    /// Delay of an element relative to the array's centre, times the sound speed; and the slope along the line.
+    #[inline(always)]
+    pub(super) fn late_m(&self, [vx, vz]: [f32; 2], x: f32) -> (f32, f32) {
+        let (q, slope) = self.leg(x);
+        let difference = x * (x - 2.0 * self.d_m[0]) / (q + self.range_m);
+        let late_m = difference / (1.0 + self.d_m[1] * vz / q - slope * vx);
+        (late_m, slope)
+    }
+
+    /// The same of a point far away.
+    #[inline(always)]
+    pub(super) fn far_late_m(&self, x: f32) -> f32 {
+        -x * self.sine
+    }
 }
 
 /// Several foci, structure of arrays.
@@ -134,24 +149,17 @@ impl Steering {
     }
 
     #[inline(always)]
-    fn mach(&self) -> [f32; 2] {
+    pub(super) fn mach(&self) -> [f32; 2] {
         self.velocity_m_per_s.map(|v| (v / self.c) as f32)
     }
 
     /// Delay of an element relative to the array's centre, times the sound speed.
     #[inline(always)]
     pub(super) fn late_m(&self, f: &Focus, x: f32) -> f32 {
-        self.late(self.is_focused(), self.mach(), f, x)
-    }
-
-    #[inline(always)]
-    fn late(&self, is_focused: bool, [vx, vz]: [f32; 2], f: &Focus, x: f32) -> f32 {
-        if !is_focused {
-            return -x * f.sine;
+        match self.is_focused() {
+            true => f.late_m(self.mach(), x).0,
+            false => f.far_late_m(x),
         }
-        let (q, slope) = f.leg(x);
-        let difference = x * (x - 2.0 * f.d_m[0]) / (q + f.range_m);
-        difference / (1.0 + f.d_m[1] * vz / q - slope * vx)
     }
 
     /// Rows and weights of some elements. The carrier's phase is that of the delay beyond `reference_m`.
@@ -171,11 +179,14 @@ impl Steering {
             Former::Phase => 0.0,
             _ => (self.rate_hz * fractions as f64 / self.c) as f32,
         };
-        let (is_focused, mach) = (self.is_focused(), self.mach());
+        let mach = self.mach();
         let n = x_m.len().min(w.len()).min(BLOCK);
         let mut late_m = [0.0f32; BLOCK];
-        for (late_m, x) in late_m[..n].iter_mut().zip(x_m) {
-            *late_m = self.late(is_focused, mach, f, *x);
+        let elements = late_m[..n].iter_mut().zip(x_m);
+        // Outside the loops, so that they vectorise.
+        match self.is_focused() {
+            true => elements.for_each(|(late_m, x)| *late_m = f.late_m(mach, *x).0),
+            false => elements.for_each(|(late_m, x)| *late_m = f.far_late_m(*x)),
         }
         let element_rows = (fractions * 2 * layout.row) as i32;
         let (row, origin) = (2 * layout.row as i32, layout.origin as i32);
@@ -233,11 +244,14 @@ pub(super) fn turn(cycles: f32) -> (f32, f32) {
     let quarter = round(4.0 * cycles);
     let a = (cycles - 0.25 * quarter) * std::f32::consts::TAU;
     let a2 = a * a;
-    let sin = a * (1.0 + a2 * (-1.0 / 6.0 + a2 * (1.0 / 120.0 - a2 / 5040.0)));
-    let cos = 1.0 + a2 * (-0.5 + a2 * (1.0 / 24.0 + a2 * (-1.0 / 720.0 + a2 / 40320.0)));
-    let k = whole_number(4.0 * cycles) & 3;
-    let (s, c) = if k & 1 == 0 { (sin, cos) } else { (cos, sin) };
-    let s = if k & 2 == 0 { s } else { -s };
-    let c = if (k + 1) & 2 == 0 { c } else { -c };
+    let sin = a * (1.0 + a2 * (-1.0 / 6.0 + a2 * (1.0 / 120.0 + a2 * (-1.0 / 5040.0))));
+    let cos = 1.0 + a2 * (-0.5 + a2 * (1.0 / 24.0 + a2 * (-1.0 / 720.0 + a2 * (1.0 / 40320.0))));
+    // Without a branch, which AVX2 would not vectorise.
+    let k = whole_number(4.0 * cycles) as u32;
+    let swaps = 0u32.wrapping_sub(k & 1);
+    let (sin, cos) = (sin.to_bits(), cos.to_bits());
+    let swapped = (sin ^ cos) & swaps;
+    let s = f32::from_bits((sin ^ swapped) ^ (k & 2) << 30);
+    let c = f32::from_bits((cos ^ swapped) ^ (k.wrapping_add(1) & 2) << 30);
     (s, c)
 }
