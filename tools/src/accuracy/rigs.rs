@@ -20,6 +20,8 @@ use measure::{CandidateResult, Measured, measure};
 
 /// Computing time of a ping below which the cost limit does not apply, ms.
 const MIN_MS: f64 = 1.0;
+/// Times the cheapest choice, up to which a cost counts as near it.
+const NEAR_COST: f64 = 1.3;
 
 #[derive(Args)]
 #[command(
@@ -220,7 +222,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     let long: Vec<&&Row> = reach.iter().filter(|row| row.of.plan.ms > MIN_MS).collect();
     let near = |which: fn((f64, f64)) -> f64| {
         long.iter()
-            .filter(|row| which(ratios(&row.of)) <= 1.5)
+            .filter(|row| which(ratios(&row.of)) <= NEAR_COST)
             .count()
     };
     let _ = writeln!(
@@ -243,7 +245,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     );
     let _ = writeln!(
         text,
-        "cost within 1.5 times the cheapest predicted within the tolerance, pings above {MIN_MS} ms: {} of {} ({:.0} %); the cheapest measured within: {} ({:.0} %)",
+        "cost within {NEAR_COST} times the cheapest predicted within the tolerance, pings above {MIN_MS} ms: {} of {} ({:.0} %); the cheapest measured within: {} ({:.0} %)",
         near(|r| r.0),
         long.len(),
         percent(near(|r| r.0), long.len()),

@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use clap::Args;
 use echotank_config::spec::RigSpec;
+use echotank_core::simd::{Kind, SimdLevel};
 use echotank_ping::make_ping::{form, insonify, receive, synthesise};
 use echotank_ping::ping_cost::{PingCost, speedup};
 use echotank_ping::rig::{PingSlot, Rig};
@@ -54,7 +55,8 @@ pub(crate) struct Selection {
     /// Further overrides of every configuration
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Write the rows to tools/kept/rates.json, in place of those of the same rigs and ranges, and draw hil-configs/rates.png
+    /// Write the rows to tools/kept/rates.json, in place of those of the same rigs and ranges, and draw hil-configs/rates.png; without AVX-512, to
+    /// rates-avx2.json or rates-portable.json
     #[arg(long)]
     keep: bool,
 }
@@ -444,7 +446,13 @@ fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String
     struct Table {
         rows: Vec<Row>,
     }
-    let path = kept("rates.json");
+    // Other vectors have about twice the time.
+    let name = match SimdLevel::best().kind() {
+        Kind::Avx512 => "rates.json",
+        Kind::Avx2 => "rates-avx2.json",
+        Kind::Portable => "rates-portable.json",
+    };
+    let path = kept(name);
     let mut all = match std::fs::read_to_string(&path) {
         Ok(text) => {
             let before: Table = serde_json::from_str(&text)
@@ -465,7 +473,10 @@ fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String
     all.sort_by_key(place);
     report.rows_anew(&all)?;
     report.finish(Some(&path))?;
-    draw(&all, &crate::repository().join("hil-configs/rates.png"))
+    match name {
+        "rates.json" => draw(&all, &crate::repository().join("hil-configs/rates.png")),
+        _ => Ok(()),
+    }
 }
 
 fn summarise(rows: &[Row]) {
