@@ -173,7 +173,8 @@ pub fn synthesise(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let PingSlot { plan, output } = slot;
     unit.pipeline.synthesise(plan, &rig.scatterers, output);
     if let Some(method_selector) = &mut unit.method_selector {
-        method_selector.after_synthesis(plan, &rig.scatterers, &output.elements);
+        let is_direct = unit.pipeline.is_direct_instead();
+        method_selector.after_synthesis(plan, &rig.scatterers, &output.elements, is_direct);
     }
 }
 

@@ -55,6 +55,8 @@ pub struct SonarPipeline {
     footprints: Vec<Footprint>,
     /// A tile without an echo is under way. One thread makes it: to wake another would take longer.
     is_quiet: bool,
+    /// See [`Self::is_direct_instead`].
+    is_direct_instead: bool,
     /// Where error checks are asked for.
     error_checker: Option<ErrorChecker>,
     lines: Vec<LineFormer>,
@@ -117,6 +119,7 @@ impl SonarPipeline {
             results: vec![ElementResult::default(); elements],
             footprints: Vec::with_capacity(spec.receive.len() * (1 + spec.more_pulses.len())),
             is_quiet: false,
+            is_direct_instead: false,
             error_checker: match spec.synthesis.error_check {
                 true => {
                     let doppler_hz = doppler_hz(spec, medium.sound_speed_m_per_s);
@@ -259,12 +262,18 @@ impl SonarPipeline {
         if let Some(error_checker) = &mut self.error_checker {
             error_checker.choose(plan, &self.spec, scatterers.len());
         }
+        self.is_direct_instead = true;
         for (index, frame) in output.elements.iter_mut().enumerate() {
             self.synthesise_array(plan, scatterers, index, frame, &mut output.counts);
         }
         if let Some(error_checker) = &mut self.error_checker {
             output.error_check = error_checker.check_error(plan, &self.spec, scatterers);
         }
+    }
+
+    /// Whether the direct sum made every element of the last ping, because all arrays had echoes beyond the design of the engine.
+    pub(crate) fn is_direct_instead(&self) -> bool {
+        self.is_direct_instead
     }
 
     /// The receiver of every element: imperfections, noise, gain and converter, then the elements' faults.
@@ -378,6 +387,7 @@ impl SonarPipeline {
             .synthesis
             .array(plan, index, together, &self.scratch, &mut frame.iq);
         let is_whole = made.is_some();
+        self.is_direct_instead &= made.is_none_or(|counts| counts.beyond_engine > 0);
         *counts += made.unwrap_or_default();
         let is_more = self.synthesis.has_moving() || !self.more_pulses.is_empty();
         if is_whole && self.error_checker.is_none() && !is_more {
@@ -395,6 +405,7 @@ impl SonarPipeline {
                 result.counts = this.element(plan, scatterers, index, element, is_whole, iq);
             });
         for result in &results[..elements] {
+            self.is_direct_instead &= is_whole || result.counts.beyond_engine > 0;
             *counts += result.counts;
         }
         self.results = results;

@@ -91,6 +91,8 @@ pub struct EchoStatistics {
     pub closing_of_echoes_m_per_s: f64,
     /// Second derivative of the range, mean of both legs, metres per second squared.
     pub range_acceleration_m_per_s2: f64,
+    /// The same, with equal weight all through an echo: errors of its size are there at the onset too.
+    pub range_acceleration_throughout_m_per_s2: f64,
     /// Third derivative of the range that leaves as much at an end of a pulse as all orders above the second about mid-pulse,
     /// mean of both legs, metres per second cubed.
     pub range_jerk_m_per_s3: f64,

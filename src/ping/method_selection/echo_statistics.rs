@@ -41,8 +41,8 @@ pub(super) const OVERLAPPING: f64 = 1.3;
 const PARTS: usize = 4;
 
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
-/// acceleration, turning, change of acceleration, unsteadiness.
-pub(super) const QUANTITIES: usize = 8;
+/// acceleration, turning, change of acceleration, unsteadiness, range acceleration throughout.
+pub(super) const QUANTITIES: usize = 9;
 /// Places of the acceleration and of its change among them.
 pub(super) const ACCELERATION: usize = 4;
 pub(super) const CHANGE: usize = 6;
@@ -59,6 +59,7 @@ pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] 
         &mut echoes.turning_m_per_s,
         &mut echoes.acceleration_change_m_per_s2,
         &mut echoes.unsteady_m_per_s2,
+        &mut echoes.range_acceleration_throughout_m_per_s2,
     ]
 }
 
@@ -72,6 +73,7 @@ pub(super) const GROWTH: [Growth; TRACKED] = [
     Growth::Constant,
     Growth::Constant,
     Growth::Unsteady,
+    Growth::Constant,
     Growth::Constant,
 ];
 
@@ -405,12 +407,14 @@ pub fn echo_statistics(
         turning,
         acceleration_change,
         unsteady,
+        throughout,
     ] = worst;
     sounded.then(|| EchoStatistics {
         displacement_m: displacement,
         closing_m_per_s: closing,
         closing_of_echoes_m_per_s: closing2.sqrt(),
         range_acceleration_m_per_s2: range_acceleration,
+        range_acceleration_throughout_m_per_s2: throughout,
         range_jerk_m_per_s3: range_jerk,
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
@@ -922,6 +926,7 @@ impl ReceivingElement {
                     .max(at.change_m_per_s2.dot(ray.back).abs()),
                 0.5 * (self.transmit_unsteady_m_per_s2.dot(ray.out)
                     + at.unsteady_m_per_s2.dot(ray.back)),
+                change[0],
                 0.0,
             ],
             across_m_per_s: closing_back - v_back.dot(at.axis) * at.axis.dot(ray.back),

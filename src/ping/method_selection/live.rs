@@ -219,12 +219,14 @@ impl MethodSelector {
         self.ping_promise = Some(ping);
     }
 
-    /// Predicts the error of a ping again, now that its samples are made: they tell how far its windows fade.
+    /// Predicts the error of a ping again, now that its samples are made: they tell how far its windows fade. `is_direct`: the direct sum made them all in
+    /// place of the engine.
     pub fn after_synthesis(
         &mut self,
         plan: &PingPlan,
         scatterers: &Scatterers,
         frames: &[ElementFrame],
+        is_direct: bool,
     ) {
         // Where parts of lines or other pulses sound, the samples are not those of the echoes of this pulse at these elements.
         let is_plain = self.choice.part_elements == 1 && self.spec.more_pulses.is_empty();
@@ -232,7 +234,8 @@ impl MethodSelector {
             && is_plain
         {
             let of = (&mut ping, &mut self.windows);
-            promise.of_samples(&self.spec, plan, scatterers, frames, of);
+            let made = (frames, is_direct);
+            promise.of_samples(&self.spec, plan, scatterers, made, of);
             self.ping_error = ping.error;
         }
     }

@@ -129,8 +129,9 @@ impl MotionScale {
         turning: 1.0,
     };
 
-    /// Of an echo's displacement, closing speed, range acceleration, its rate, acceleration, turning, change of acceleration and unsteadiness.
-    pub(crate) fn factors(&self) -> [f64; 8] {
+    /// Of an echo's displacement, closing speed, range acceleration, its rate, acceleration, turning, change of acceleration, unsteadiness and range
+    /// acceleration throughout.
+    pub(crate) fn factors(&self) -> [f64; echo_statistics::QUANTITIES] {
         let range_acceleration = self.acceleration.max(self.speed * self.speed);
         [
             self.speed,
@@ -141,6 +142,7 @@ impl MotionScale {
             self.turning,
             self.acceleration,
             self.acceleration,
+            range_acceleration,
         ]
     }
 

@@ -25,7 +25,7 @@ use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 
 /// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more,
 /// the peaks of their motion tell how much greater the statistics are than those of the selection.
-const ALL: usize = 1000;
+const ALL: usize = 3000;
 
 /// What windows between those that are looked at may have, over the error of these: of 367 answers of `tools/points_random.py` 5 were up to 9 % above
 /// the prediction without it.
@@ -240,15 +240,20 @@ impl Promise {
         }
     }
 
-    /// The predicted error of a ping that has been made, with the fades of its own samples.
+    /// The predicted error of a ping that has been made, with the fades of its own samples. `is_direct`: the direct sum made them all in place of the
+    /// engine.
     pub(super) fn of_samples(
         &self,
         spec: &SonarSpec,
         plan: &PingPlan,
         scatterers: &Scatterers,
-        frames: &[ElementFrame],
+        (frames, is_direct): (&[ElementFrame], bool),
         (ping, windows): (&mut PingPromise, &mut WindowStatistics),
     ) {
+        if is_direct {
+            ping.sum = sum_error_model(Synthesis::Direct, spec, plan, &ping.conditions).error;
+            ping.error = self.error(plan, ping, ping.path, ping.segment_s);
+        }
         let Some(predicted) = ping.conditions.echo_statistics.filter(|_| ping.is_heard) else {
             return;
         };
@@ -256,7 +261,9 @@ impl Promise {
         let of = (predicted, &weights);
         let heard = windows.of_samples(spec, plan, scatterers, frames, of);
         ping.conditions.echo_statistics = Some(heard);
-        if let Some(echo) = self.echo_error {
+        if is_direct {
+            ping.sum = sum_error_model(Synthesis::Direct, spec, plan, &ping.conditions).error;
+        } else if let Some(echo) = self.echo_error {
             ping.sum = echo.of_ping(heard.fading, heard.tails);
         } else if !self.synthesis.keeps_tolerance() {
             ping.sum = sum_error_model(self.synthesis, spec, plan, &ping.conditions).error;

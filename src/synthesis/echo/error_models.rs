@@ -73,6 +73,8 @@ struct MotionTerms {
     displacement_m: f64,
     closing: f64,
     range_acceleration: f64,
+    /// ... with equal weight all through an echo.
+    throughout: f64,
     acceleration: f64,
     /// Rest of the range at an end of the pulse beyond the second order about mid-pulse, of both legs together.
     third_m: f64,
@@ -98,6 +100,7 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
             displacement_m: echoes.displacement_m,
             closing: echoes.closing_m_per_s,
             range_acceleration: echoes.range_acceleration_m_per_s2,
+            throughout: echoes.range_acceleration_throughout_m_per_s2,
             third_m: cubic_m(echoes.range_jerk_m_per_s3),
             acceleration: echoes.acceleration_m_per_s2,
             pulse_change: echoes.unsteady_m_per_s2,
@@ -114,6 +117,7 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
             displacement_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
             closing: v,
             range_acceleration: v * v / conditions.range_m.0 + a,
+            throughout: v * v / conditions.range_m.0 + a,
             third_m: cubic_m(4.5 * v * (v * v / conditions.range_m.0 + a) / conditions.range_m.0)
                 * all_terms(0.5 * v * t / conditions.range_m.0),
             acceleration: a,
@@ -241,6 +245,7 @@ impl DopplerError {
         let MotionTerms {
             closing,
             range_acceleration,
+            throughout,
             third_m,
             acceleration: a,
             pulse_change,
@@ -258,18 +263,18 @@ impl DopplerError {
         // or A T^2/8 (in one step at mid-pulse).
         let third = k * (third_m + 2.0 * pulse_change * t * t / 8.0);
         // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
-        // part of the pulse that they cover.
-        let curvature_per_s = range_acceleration / c;
+        // part of the pulse that they cover, at the onset as elsewhere.
+        let curvature_per_s = throughout / c;
         let cubic_per_s3 = pulse.sweep_hz_per_s().abs() * curvature_per_s / 32.0;
         let turns = (cubic_per_s3 * t.powi(3)).min(CUBIC_TURNS);
         // A lone echo is off by that much at most. What is left over a run is the Chebyshev polynomial of third order, of
         // mean square 17/35; the errors of many echoes have random phases, whose sum fades otherwise than the echoes'.
         let rms = (17f64 / 35.0).sqrt();
         let of_runs = turns * (fading * rms).max(1.0);
-        // Runs are no shorter than a block, whatever that leaves. The statistics of the curvature know its interference, and have the ends of lone
-        // echoes, where the curvature leaves the root of 5 times its rms.
+        // Runs are no shorter than a block, whatever that leaves: all of it at the end of a lone echo. The statistics of the curvature know its
+        // interference.
         let block_s = t.min(LANES as f64 / dense_rate_hz(conditions));
-        let of_block = rms * cubic_per_s3 * block_s.powi(3);
+        let of_block = cubic_per_s3 * block_s.powi(3);
         let cubic = TAU * of_runs.max(of_block);
         let stale = match path {
             PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
