@@ -12,6 +12,7 @@ use crate::method_selection::{MotionScale, fades};
 use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::frames::Trajectory;
 use echotank_core::model::{PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
@@ -223,19 +224,19 @@ pub(super) struct Part {
     pub sums: [f64; TRACKED],
     pub squares: [f64; TRACKED],
     /// Squares of the component across the array and of the closing speed of whole echoes.
-    across2: f64,
-    closing2: f64,
+    pub across2: f64,
+    pub closing2: f64,
     /// Of the loudest echo, all of it, and what of it sounds here.
     pub loudest: f64,
     pub loudest_here: f64,
     /// What of the energy is in the first or last quarter of an echo.
     pub ends: f64,
     /// Sum of the products of the energies of two different echoes, from above: what interferes.
-    mixed: f64,
+    pub mixed: f64,
     /// Of the echoes that begin here: how many, their energy, and the sum of its squares.
-    echoes: f64,
+    pub echoes: f64,
     pub begun: f64,
-    begun2: f64,
+    pub begun2: f64,
 }
 
 impl Part {
@@ -597,18 +598,41 @@ const MAX_LOOKS: f64 = 8.0;
 /// off = p(T) - p(0) - (v(0) + v(T)) T/2
 /// ```
 ///
-/// This is the parabola of `stretch-quadratic`, whose acceleration is the mean over the pulse.
-fn unsteady_m_per_s2(plan: &PingPlan, arm_m: DVec3, t_s: f64) -> DVec3 {
-    let pulse_s = plan.pulse.duration_s;
-    let begin = plan.trajectory.pose_at(t_s);
-    let end = plan.trajectory.pose_from(begin.position_m, t_s + pulse_s);
-    let moved_m = end.point_m(arm_m) - (begin.point_m(arm_m) - begin.position_m);
-    let speeds = begin.point_velocity_m_per_s(arm_m) + end.point_velocity_m_per_s(arm_m);
-    let off_m = moved_m - speeds * (0.5 * pulse_s);
-    if off_m.length() < STILL_M {
+/// This is the parabola of `stretch-quadratic`, whose acceleration is the mean over the pulse. Where the record ends within the pulse, at `heard_s`, the
+/// track counts up to there only: as much as leaves that by the shape of [`Growth::Unsteady`].
+fn unsteady_m_per_s2(
+    trajectory: &Trajectory,
+    pulse_s: f64,
+    arm_m: DVec3,
+    (t_s, heard_s): (f64, f64),
+) -> DVec3 {
+    let begin = trajectory.pose_at(t_s);
+    let begin_m = begin.point_m(arm_m) - begin.position_m;
+    let velocity = begin.point_velocity_m_per_s(arm_m);
+    let end = trajectory.pose_at(t_s + pulse_s);
+    let mean = (end.point_velocity_m_per_s(arm_m) - velocity) / pulse_s;
+    let off = |until_s: f64| {
+        let at = trajectory.pose_from(begin.position_m, t_s + until_s);
+        let moved_m = at.point_m(arm_m) - begin_m;
+        let off_m = moved_m - (velocity + mean * (0.5 * until_s)) * until_s;
+        match off_m.length() < STILL_M {
+            true => DVec3::ZERO,
+            false => off_m * (8.0 / (pulse_s * pulse_s * Growth::Unsteady.at(until_s / pulse_s))),
+        }
+    };
+    let left_s = heard_s - t_s;
+    if left_s >= pulse_s {
+        return off(pulse_s);
+    }
+    if left_s <= 0.0 {
         return DVec3::ZERO;
     }
-    off_m * (8.0 / (pulse_s * pulse_s))
+    let (half, whole) = (off(0.5 * left_s), off(left_s));
+    if half.length() > whole.length() {
+        half
+    } else {
+        whole
+    }
 }
 
 /// Rounding of places, metres.
@@ -709,7 +733,8 @@ impl ReceivingElement {
         instants: usize,
     ) -> Self {
         let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
-        let step_s = plan.window_s(spec.receiver.sample_rate_hz) / instants as f64;
+        let heard_s = plan.window_s(spec.receiver.sample_rate_hz);
+        let step_s = heard_s / instants as f64;
         let arm_m = array.element_body_m(element);
         let velocity =
             |t_s: f64, arm_m: DVec3| plan.trajectory.pose_at(t_s).point_velocity_m_per_s(arm_m);
@@ -725,7 +750,7 @@ impl ReceivingElement {
         let place = transmit.mounting.position_m;
         // The largest change from an instant on, within a pulse.
         let pulse_steps = (plan.pulse.duration_s / step_s).ceil().max(1.0) as usize;
-        let accelerations: Vec<DVec3> = (0..=instants + pulse_steps)
+        let accelerations: Vec<DVec3> = (0..=instants)
             .map(|k| acceleration(k as f64 * step_s, arm_m))
             .collect();
         let largest = |of: &[DVec3]| {
@@ -737,31 +762,46 @@ impl ReceivingElement {
                 }
             })
         };
-        let change = |k: usize| largest(&accelerations[k..=k + pulse_steps]);
+        // The record ends with the last step: what follows is not heard.
+        let last = instants - 1;
+        let change = |k: usize| {
+            let from = k.min(last.saturating_sub(1));
+            largest(&accelerations[from..=(k + pulse_steps).min(last)])
+        };
         let of_transmitter: Vec<DVec3> = (0..=pulse_steps)
             .map(|k| acceleration(k as f64 * step_s, place))
             .collect();
         // Pulses that begin between two instants see a step of the acceleration at another time.
         let looks = (LOOKS_OF_A_PULSE * step_s / plan.pulse.duration_s).ceil();
+        let pulse_s = plan.pulse.duration_s;
+        let unsteady_at = |arm_m: DVec3, t_s: f64| {
+            unsteady_m_per_s2(&plan.trajectory, pulse_s, arm_m, (t_s, heard_s))
+        };
         let unsteady = |t_s: f64, change: DVec3| {
+            let larger = |most: DVec3, off: DVec3| match off.length() > most.length() {
+                true => off,
+                false => most,
+            };
             if looks > MAX_LOOKS {
-                return change;
+                // Pulses that the record cuts have an acceleration of what follows it, too.
+                let cuts = match t_s + 1.5 * step_s > heard_s {
+                    true => LOOKS_OF_A_PULSE as usize,
+                    false => 0,
+                };
+                let from_s = (1..=cuts).map(|k| heard_s - k as f64 / LOOKS_OF_A_PULSE * pulse_s);
+                let all = from_s.map(|t_s| unsteady_at(arm_m, t_s));
+                return all.fold(change, larger);
             }
             let from_s = (0..=looks as usize).map(|k| t_s + k as f64 / looks * step_s);
-            let all = from_s.map(|t_s| unsteady_m_per_s2(plan, arm_m, t_s));
-            all.fold(DVec3::ZERO, |most, off| {
-                match off.length() > most.length() {
-                    true => off,
-                    false => most,
-                }
-            })
+            let all = from_s.map(|t_s| unsteady_at(arm_m, t_s));
+            all.fold(DVec3::ZERO, larger)
         };
         Self {
             transmit_m: start.point_m(place),
             transmit_m_per_s: start.point_velocity_m_per_s(place),
             transmit_m_per_s2: acceleration(0.0, place),
             transmit_change_m_per_s2: largest(&of_transmitter),
-            transmit_unsteady_m_per_s2: unsteady_m_per_s2(plan, place, 0.0),
+            transmit_unsteady_m_per_s2: unsteady_at(place, 0.0),
             transmit_from_world: DMat3::from_quat(
                 (start.world_from_body * transmit.mounting.body_from_array).inverse(),
             ),
@@ -1066,6 +1106,8 @@ mod tests {
     use super::*;
     use std::f64::consts::TAU;
 
+    use echotank_core::frames::VectorKnot;
+    use glam::DQuat;
     use num_complex::Complex64;
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -1184,6 +1226,38 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// A track that bends after the end of the record, which cuts the pulse.
+    #[test]
+    fn a_track_counts_only_as_far_as_it_is_heard() {
+        let knot = |time_s: f64, north_m: f64, rate: f64| VectorKnot {
+            time_s,
+            value: DVec3::X * north_m,
+            rate_per_s: DVec3::X * rate,
+        };
+        let mut trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::X, DQuat::IDENTITY);
+        trajectory.position = vec![
+            knot(0.0, 0.0, 1.0),
+            knot(0.02, 0.02, 1.0),
+            knot(0.04, 0.04, 1.5),
+        ];
+        let (pulse_s, t_s, heard_s) = (5e-3, 0.0165, 0.018);
+        let at = |heard_s: f64| {
+            unsteady_m_per_s2(&trajectory, pulse_s, DVec3::ZERO, (t_s, heard_s)).length()
+        };
+        let (cut, whole) = (at(heard_s), at(0.05));
+        println!("{cut:.3e} of {whole:.3e} m/s^2");
+        assert!(cut > 0.0 && cut < 0.5 * whole, "{cut} {whole}");
+        // The parabola leaves what it takes from the bend: the platform moves evenly up to there.
+        let mean = (trajectory.pose_at(t_s + pulse_s).velocity_m_per_s.x - 1.0) / pulse_s;
+        for k in 1..=20 {
+            let s = f64::from(k) / 20.0 * (heard_s - t_s);
+            let off_m = 0.5 * mean.abs() * s * s;
+            let bound_m = cut * pulse_s * pulse_s / 8.0 * Growth::Unsteady.at(s / pulse_s);
+            assert!(off_m <= bound_m * (1.0 + 1e-6), "{s}: {off_m} {bound_m}");
+        }
+        assert_eq!(at(t_s), 0.0);
     }
 
     /// Under a full taper the ends of a pulse hardly sound. The third order of a sharp pulse has a mean square of 1/7.

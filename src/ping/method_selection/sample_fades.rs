@@ -57,6 +57,8 @@ struct Upto {
     /// Of the samples, and of the echoes that they are made of.
     level: f64,
     energy: f64,
+    /// ... of the loudest echo of each step.
+    loudest: f64,
 }
 
 /// Sums over the steps before one.
@@ -312,6 +314,7 @@ impl WindowStatistics {
                 sum.share += scale * share;
                 sum.level += here;
                 sum.energy += scale * share * part.energy;
+                sum.loudest += scale * share * part.loudest_here;
                 upto.push(sum);
             }
             let heard = if samples.is_empty() { 0.0 } else { scale };
@@ -407,15 +410,13 @@ impl WindowStatistics {
         }
         let level = to.level - from.level;
         let against = level.max(floor).max(f64::MIN_POSITIVE);
-        let loudest = self.parts[from.next..=to.step]
-            .iter()
-            .map(|part| part.loudest)
-            .fold(f64::MIN_POSITIVE, f64::max);
+        // Of what sounds at the same time: at the onset of several echoes, none of them sounds as a whole.
+        let loudest = (to.loudest - from.loudest).max(f64::MIN_POSITIVE);
         let crowd = (energy / loudest).max(1.0);
-        // Errors may add up where the echoes cancel: to no more than their number, which is about twice their energy over the loudest's.
+        // Errors may add up where the echoes cancel: the amplitude of the loudest and that of all others as one.
         let peak = match crowd {
             ..ALONE => 1.0,
-            ..FEW => peaks.0.min(2.0 * crowd),
+            ..FEW => peaks.0.min((1.0 + (crowd - 1.0).sqrt()).powi(2)),
             _ => peaks.1,
         };
         let ratio = peak * energy / against;
@@ -473,5 +474,53 @@ impl WindowStatistics {
             }
             self.amounts.push(amounts);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Onsets of one or two echoes in a window, a tenth of each, whose samples are weaker than they are by themselves. Two may cancel, and their errors
+    /// add up; one that is weaker lies elsewhere.
+    #[test]
+    fn onsets_of_two_echoes_may_cancel() {
+        let fading = |echoes: f64| {
+            let part = Part {
+                energy: 0.1 * echoes,
+                loudest: 1.0,
+                loudest_here: 0.1,
+                ..Part::default()
+            };
+            let windows = WindowStatistics {
+                parts: vec![part],
+                before: vec![Before::default(); 2],
+                ..WindowStatistics::default()
+            };
+            let (from, to) = (
+                Upto::default(),
+                Upto {
+                    share: 1.0,
+                    level: 0.01,
+                    energy: part.energy,
+                    loudest: part.loudest_here,
+                    ..Upto::default()
+                },
+            );
+            let bounds = Bounds {
+                amounts: [f64::INFINITY; TRACKED],
+                fading: f64::INFINITY,
+            };
+            let peaks = (fades::worst_peak(LOOKS, OF_FEW), 1.0);
+            let mut worst = Worst::default();
+            windows
+                .amounts_of((&from, &to), (1e-6, peaks), &bounds, &mut worst)
+                .expect("a window that sounds");
+            worst.fading
+        };
+        let of_one = OVERLAPPING * 10f64.sqrt();
+        assert!((fading(1.0) / of_one - 1.0).abs() < 1e-9, "{}", fading(1.0));
+        let of_two = of_one * (2.0 * 4.0f64).sqrt();
+        assert!((fading(2.0) / of_two - 1.0).abs() < 1e-9, "{}", fading(2.0));
     }
 }

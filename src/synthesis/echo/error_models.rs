@@ -419,6 +419,7 @@ fn first_of(k: f64, speed_m_per_s: f64, duration_s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error_model::EchoStatistics;
     use echotank_core::pulse::{Pulse, PulseKind};
 
     /// 500 samples of a sharp pulse.
@@ -487,5 +488,51 @@ mod tests {
             ..sharp()
         };
         assert_eq!((at(&tapered, 0.3), at(&filtered, 0.3)), (0.0, 0.0));
+    }
+
+    /// Echoes of a chirp whose stretch changes, with curvature at the onset alone: what a block of samples leaves is there too.
+    #[test]
+    fn the_cubic_phase_of_a_block_counts_at_the_onset() {
+        let at = |throughout: f64| {
+            let mut conditions = sharp();
+            conditions.pulse.kind = PulseKind::LfmUp;
+            conditions.pulse.bandwidth_hz = 40e3;
+            conditions.pulse.taper = 0.1;
+            conditions.echo_statistics = Some(EchoStatistics {
+                displacement_m: 0.0,
+                closing_m_per_s: 0.0,
+                closing_of_echoes_m_per_s: 0.0,
+                range_acceleration_m_per_s2: 0.0,
+                range_acceleration_throughout_m_per_s2: throughout,
+                range_jerk_m_per_s3: 0.0,
+                acceleration_m_per_s2: 0.0,
+                turning_m_per_s: 0.0,
+                acceleration_change_m_per_s2: 0.0,
+                unsteady_m_per_s2: 0.0,
+                across_m_per_s: 0.0,
+                spread: 1.0,
+                fading: 1.0,
+                tails: 1.0,
+                off_path_m: Some(0.0),
+                strongest_share: 1.0,
+                echoes: 1.0,
+            });
+            doppler_error(
+                DopplerModel::StretchQuadratic,
+                PathModel::Continuous,
+                &conditions,
+            )
+        };
+        // Of a block of eight samples the best parabola leaves 1/32 of the cube.
+        let (curvature, block_s) = (3000.0, 8.0f64 / 100e3);
+        let cubic: f64 = 40e3 / 5e-3 * curvature / 1500.0 / 32.0;
+        let want = TAU * cubic * block_s.powi(3);
+        assert!(want > TAU * CUBIC_TURNS);
+        assert!(
+            (at(curvature) / want - 1.0).abs() < 1e-9,
+            "{} {want}",
+            at(curvature)
+        );
+        assert!(at(0.0) <= F64_FLOOR);
     }
 }
