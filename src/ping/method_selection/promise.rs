@@ -25,7 +25,7 @@ use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 
 /// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more,
 /// the peaks of their motion tell how much greater the statistics are than those of the selection.
-const ALL: usize = 3000;
+const ALL: usize = 1000;
 
 /// What windows between those that are looked at may have, over the error of these: of 367 answers of `tools/points_random.py` 5 were up to 9 % above
 /// the prediction without it.
