@@ -250,11 +250,14 @@ impl Promise {
         (frames, is_direct): (&[ElementFrame], bool),
         (ping, windows): (&mut PingPromise, &mut WindowStatistics),
     ) {
-        if is_direct {
-            ping.sum = sum_error_model(Synthesis::Direct, spec, plan, &ping.conditions).error;
-            ping.error = self.error(plan, ping, ping.path, ping.segment_s);
-        }
+        let sum_of_direct = |ping: &PingPromise| {
+            sum_error_model(Synthesis::Direct, spec, plan, &ping.conditions).error
+        };
         let Some(predicted) = ping.conditions.echo_statistics.filter(|_| ping.is_heard) else {
+            if is_direct {
+                ping.sum = sum_of_direct(ping);
+                ping.error = self.error(plan, ping, ping.path, ping.segment_s);
+            }
             return;
         };
         let weights = self.weights(plan, ping, predicted);
@@ -262,7 +265,7 @@ impl Promise {
         let heard = windows.of_samples(spec, plan, scatterers, frames, of);
         ping.conditions.echo_statistics = Some(heard);
         if is_direct {
-            ping.sum = sum_error_model(Synthesis::Direct, spec, plan, &ping.conditions).error;
+            ping.sum = sum_of_direct(ping);
         } else if let Some(echo) = self.echo_error {
             ping.sum = echo.of_ping(heard.fading, heard.tails);
         } else if !self.synthesis.keeps_tolerance() {

@@ -482,7 +482,7 @@ mod tests {
     use super::*;
 
     /// Onsets of one or two echoes in a window, a tenth of each, whose samples are weaker than they are by themselves. Two may cancel, and their errors
-    /// add up; one that is weaker lies elsewhere.
+    /// add up; one does not.
     #[test]
     fn onsets_of_two_echoes_may_cancel() {
         let fading = |echoes: f64| {

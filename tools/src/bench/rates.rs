@@ -446,7 +446,7 @@ fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String
     struct Table {
         rows: Vec<Row>,
     }
-    // Other vectors have about twice the time.
+    // Times with different vectors do not compare.
     let name = match SimdLevel::best().kind() {
         Kind::Avx512 => "rates.json",
         Kind::Avx2 => "rates-avx2.json",
