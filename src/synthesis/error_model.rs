@@ -117,11 +117,17 @@ pub struct EchoStatistics {
     pub tails: f64,
     /// Distance of an element from where the path model has it, along the rays, metres, where the path model is known.
     pub off_path_m: Option<f64>,
-    /// Maximum fraction of the energy of a window in its strongest echo.
-    pub strongest_share: f64,
+    /// Velocity of an element that elements' chords are off by, along the rays, metres per second, where it is known: scaled as [`Self::closing_m_per_s`].
+    pub off_chord_m_per_s: Option<f64>,
     /// Number of echoes of all elements.
     pub echoes: f64,
+    /// How many of them have a sample whose gain or loss, at the beginning or the end, is an error above 2^-(k + 1) in some window, by k. The last
+    /// number has all.
+    pub prominent: [f64; PROMINENCES],
 }
+
+/// Levels of error of [`EchoStatistics::prominent`].
+pub const PROMINENCES: usize = 16;
 
 impl Conditions {
     /// Relative error from a phase error of `phase_rad` (rms); at most 2, the error of an echo with the opposite sign.

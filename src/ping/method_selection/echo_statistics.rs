@@ -4,7 +4,7 @@
 //! In: a ping's plan and scatterers. Out: [`EchoStatistics`]. Of a seabed, only an even sample of the scatterers is used;
 //! points and targets are all used.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 use crate::conditions::sound_speed_step_up;
 use crate::element_synthesis::filter_design;
@@ -12,14 +12,14 @@ use crate::method_selection::{MotionScale, fades};
 use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
-use echotank_core::frames::Trajectory;
-use echotank_core::model::{PathModel, Synthesis};
-use echotank_core::ping::PingPlan;
+use echotank_core::frames::{Pose, Trajectory};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{PingPlan, Segment};
 use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::displaced_echo_errors;
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
-use echotank_synthesis::error_model::{Conditions, EchoStatistics};
+use echotank_synthesis::error_model::{Conditions, EchoStatistics, PROMINENCES};
 
 /// Approximate number of seabed scatterers in the sample. In each of a hundred windows they give root mean squares within a tenth. Fewer
 /// predict smaller errors: 5,000 a path error 31 % below that of 20,000 with `line256.toml`.
@@ -47,8 +47,10 @@ pub(super) const QUANTITIES: usize = 9;
 /// Places of the acceleration and of its change among them.
 pub(super) const ACCELERATION: usize = 4;
 pub(super) const CHANGE: usize = 6;
-/// The same, and last the distance of the track from the path model, where that is known.
-pub(super) const TRACKED: usize = QUANTITIES + 1;
+/// The same, and last how far the path model and the velocities of chords are off the track, where that is known.
+pub(super) const TRACKED: usize = QUANTITIES + 2;
+pub(super) const OFF_PATH: usize = QUANTITIES;
+pub(super) const OFF_CHORD: usize = QUANTITIES + 1;
 /// These quantities.
 pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] {
     [
@@ -76,6 +78,7 @@ pub(super) const GROWTH: [Growth; TRACKED] = [
     Growth::Unsteady,
     Growth::Constant,
     Growth::Constant,
+    Growth::Linear,
 ];
 
 /// A phase within an echo, over the share t of the pulse.
@@ -354,10 +357,11 @@ pub fn echo_statistics(
     let mut worst = [0.0f64; QUANTITIES];
     let (mut across2, mut closing2) = (0.0f64, 0.0f64);
     let mut sounded = false;
-    // Echoes in a loud window that count, at most; the loudest of a window; all of them.
+    // Echoes in a loud window that count, at most.
     let mut crowd = 1.0f64;
     let mut fading = 1.0f64;
-    let (mut strongest_share, mut echoes) = (0.0f64, 0.0);
+    let mut prominent = Prominent::default();
+    let sample = 1.0 / (plan.pulse.duration_s * rate_hz).max(1.0);
     let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
     let mut parts = vec![Part::default(); windows * PARTS];
     for array in &spec.receive {
@@ -370,7 +374,6 @@ pub fn echo_statistics(
             let ends = (array, element);
             let receiver = ReceivingElement::new(spec, plan, transmit, ends, INSTANTS);
             receiver.accumulate(plan, scatterers, &energies, part_s, &mut parts);
-            echoes += each * parts.iter().map(|part| part.echoes).sum::<f64>();
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
             if mean == 0.0 {
                 continue;
@@ -379,6 +382,7 @@ pub fn echo_statistics(
             let window = |parts: &[Part]| parts.iter().fold(Part::default(), Part::and);
             let strongest = parts.windows(PARTS).map(|parts| window(parts).energy);
             let floor = strongest.fold(mean, f64::max) * noise_share();
+            prominent.count(&parts, floor, sample, each);
             for window in parts.windows(PARTS).map(window) {
                 if window.energy == 0.0 {
                     continue;
@@ -388,7 +392,6 @@ pub fn echo_statistics(
                 }
                 // What a typical window has, for costs and pictures.
                 let against = window.energy.max(mean);
-                strongest_share = strongest_share.max(window.loudest / against);
                 across2 = across2.max(window.across2 / against);
                 closing2 = closing2.max(window.closing2 / against);
                 let (amounts, faded) = window.amounts(&energies.last, floor, looks, independent);
@@ -427,9 +430,41 @@ pub fn echo_statistics(
         fading,
         tails: f64::INFINITY,
         off_path_m: None,
-        strongest_share,
-        echoes,
+        off_chord_m_per_s: None,
+        echoes: prominent.by_error[PROMINENCES - 1],
+        prominent: prominent.by_error,
     })
+}
+
+/// Numbers of echoes by the error of a sample gained or lost, as in [`EchoStatistics::prominent`].
+#[derive(Default)]
+struct Prominent {
+    by_error: [f64; PROMINENCES],
+    squares: Vec<f64>,
+}
+
+impl Prominent {
+    /// Adds the echoes of one element, which stands for `each`. `sample`: of the energy of an echo, what a sample has.
+    fn count(&mut self, parts: &[Part], floor: f64, sample: f64, each: f64) {
+        self.squares.clear();
+        self.squares.resize(parts.len(), 0.0);
+        for (first, parts) in parts.windows(PARTS).enumerate() {
+            let window = parts.iter().fold(Part::default(), Part::and);
+            let square = (sample * window.loudest / window.energy.max(floor)).min(1.0);
+            // Echoes that begin in the window, or before it and end in it.
+            for largest in &mut self.squares[first.saturating_sub(PARTS)..first + PARTS] {
+                *largest = largest.max(square);
+            }
+        }
+        for (part, square) in parts.iter().zip(&self.squares) {
+            for (halvings, count) in self.by_error.iter_mut().enumerate() {
+                let is_last = halvings == PROMINENCES - 1;
+                if is_last || square.sqrt() > libm::exp2(-(halvings as f64 + 1.0)) {
+                    *count += each * part.echoes;
+                }
+            }
+        }
+    }
 }
 
 /// Of many echoes at random phases. Mean squares of n independent samples of Gaussian noise: the greatest of `looks` is 1 + 2 sqrt(L/n) + 2 L/n times the mean, L = ln looks
@@ -560,6 +595,19 @@ const NEAR_LINE: f64 = 0.9;
 /// Motion below this share of another ping's is none.
 const RESTING: f64 = 1e-6;
 
+/// One leg of a path model: place and velocity, relative to the first segment's place, and the axes of the array, which turn evenly.
+struct PathLeg {
+    start_s: f64,
+    at_m: DVec3,
+    velocity_m_per_s: DVec3,
+    array_from_world: DMat3,
+    turning_rad_per_s: DVec3,
+    /// When the axes are exact.
+    facing_s: f64,
+    /// For the Doppler term: the velocity at the start, and its rate.
+    doppler: [DVec3; 2],
+}
+
 /// One element with its transmitter, through a ping.
 pub(super) struct ReceivingElement {
     transmit_m: DVec3,
@@ -575,8 +623,9 @@ pub(super) struct ReceivingElement {
     line_m: f64,
     /// On the body.
     arm_m: DVec3,
-    /// Whether the plan has the path model of the ping.
-    knows_path: bool,
+    body_from_array: DQuat,
+    /// Of the ping's path model, if it is known.
+    legs: Option<Vec<PathLeg>>,
     pulse_s: f64,
     step_s: f64,
     at: Vec<At>,
@@ -810,7 +859,8 @@ impl ReceivingElement {
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             pulse_s: plan.pulse.duration_s,
             arm_m,
-            knows_path: false,
+            body_from_array: array.mounting.body_from_array,
+            legs: None,
             line_m: {
                 let to_last_m = (array.elements - 1 - element) as f64 * array.spacing_m;
                 let to_first_m = -(element as f64) * array.spacing_m;
@@ -840,41 +890,117 @@ impl ReceivingElement {
     }
 
     /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`].
-    pub(super) fn alone(self) -> Self {
+    pub(super) fn alone(self, plan: &PingPlan) -> Self {
         Self {
             line_m: 0.0,
-            knows_path: true,
+            legs: Some(self.legs(plan)),
             ..self
         }
     }
 
-    /// How far this element is from where the plan's path model has it, at an instant of the ping.
-    fn off_path_m(&self, plan: &PingPlan, t_s: f64) -> DVec3 {
+    /// The legs of the plan's path model, as `echo::paths` has them; none of the exact trajectory.
+    fn legs(&self, plan: &PingPlan) -> Vec<PathLeg> {
         let segments = plan.segments.as_slice();
         let origin_m = segments[0].position_m;
         let pose_at = |t_s: f64| plan.trajectory.pose_from(origin_m, t_s);
-        let point_m = |t_s: f64| pose_at(t_s).point_m(self.arm_m);
-        let before = segments.partition_point(|segment| segment.start_s <= t_s);
-        let segment = &segments[before.max(1) - 1];
-        let at_m = match plan.model.path {
-            PathModel::Continuous => return DVec3::ZERO,
-            PathModel::StopAndHop => point_m(0.0),
-            PathModel::Polyline => {
-                let arm_m = segment.world_from_body * self.arm_m;
-                let moved_m = segment.velocity_m_per_s * (t_s - segment.start_s);
-                segment.position_m - origin_m + moved_m + arm_m
-            }
-            PathModel::KSegment => {
-                let step_s = segments
-                    .get(1)
-                    .map_or(plan.model.segment_s, |next| next.start_s);
-                let share = (t_s - segment.start_s) / step_s;
-                let (begin_m, end_m) =
-                    (point_m(segment.start_s), point_m(segment.start_s + step_s));
-                begin_m + (end_m - begin_m) * share
+        let axes = |world_from_body: DQuat| {
+            DMat3::from_quat((world_from_body * self.body_from_array).inverse())
+        };
+        let of_segment = |segment: &Segment, moves: f64| PathLeg {
+            start_s: segment.start_s,
+            at_m: segment.position_m - origin_m + segment.world_from_body * self.arm_m,
+            velocity_m_per_s: moves * segment.velocity_m_per_s,
+            array_from_world: axes(segment.world_from_body),
+            turning_rad_per_s: DVec3::ZERO,
+            facing_s: segment.start_s,
+            doppler: [DVec3::ZERO; 2],
+        };
+        let step_s = segments
+            .get(1)
+            .map_or(plan.model.segment_s, |next| next.start_s);
+        let chord = |segment: &Segment| {
+            let start_s = segment.start_s;
+            let middle = pose_at(start_s + 0.5 * step_s);
+            let (begin, end) = (pose_at(start_s), pose_at(start_s + step_s));
+            let (at_m, end_m) = (begin.point_m(self.arm_m), end.point_m(self.arm_m));
+            let velocity = begin.point_velocity_m_per_s(self.arm_m);
+            let later = end.point_velocity_m_per_s(self.arm_m);
+            let array_from_world = axes(middle.world_from_body);
+            PathLeg {
+                start_s,
+                at_m,
+                velocity_m_per_s: (end_m - at_m) / step_s,
+                array_from_world,
+                turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
+                facing_s: start_s + 0.5 * step_s,
+                doppler: [velocity, (later - velocity) / step_s],
             }
         };
-        point_m(t_s) - at_m
+        match plan.model.path {
+            PathModel::Continuous => Vec::new(),
+            PathModel::StopAndHop => vec![of_segment(&segments[0], 0.0)],
+            PathModel::Polyline => segments.iter().map(|s| of_segment(s, 1.0)).collect(),
+            PathModel::KSegment => segments.iter().map(chord).collect(),
+        }
+    }
+
+    /// The response of the element towards an echo, and how far the path model has the element from where it is as the echo arrives, along its ray,
+    /// metres. The path model turns the pattern too: an echo whose level is off by a share e has the error of one that is off by e radians, and
+    /// both add in squares. Last the velocity that a chord is off by, metres per second: at the leading edge, or in the mean of the pulse.
+    fn heard(&self, plan: &PingPlan, legs: &[PathLeg], ray: &Ray) -> (f64, [f64; 2]) {
+        let t_s = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s;
+        let pose = plan.trajectory.pose_from(plan.segments[0].position_m, t_s);
+        let towards = |u: DVec3| self.element.towards(u.x, u.y, u.z);
+        let axes = DMat3::from_quat((pose.world_from_body * self.body_from_array).inverse());
+        let exact = towards(axes * ray.back);
+        let before = legs.partition_point(|leg| leg.start_s <= t_s);
+        let Some(leg) = legs.get(before.max(1) - 1) else {
+            return (exact, [0.0; 2]);
+        };
+        let at_m = leg.at_m + leg.velocity_m_per_s * (t_s - leg.start_s);
+        let off_m = pose.point_m(self.arm_m) - at_m;
+        let along_m = off_m.dot(ray.back);
+        let off_m_per_s = match plan.model.path {
+            PathModel::KSegment => self.off_chord_m_per_s(plan, leg, (&pose, t_s), ray),
+            _ => 0.0,
+        };
+        if self.element.is_omnidirectional() || exact == 0.0 {
+            return (exact, [along_m, off_m_per_s]);
+        }
+        let ray_m = ray.back * ray.back_range_m + off_m;
+        let facing = leg.array_from_world * ray_m.normalize_or_zero();
+        let turned = facing.cross(leg.turning_rad_per_s) * (t_s - leg.facing_s);
+        let level = towards(facing + turned) / exact - 1.0;
+        let per_rad_m = self.one_way.wavelength_m / std::f64::consts::TAU;
+        let off_m = along_m.hypot(level * per_rad_m).copysign(along_m);
+        (exact, [off_m, off_m_per_s])
+    }
+
+    /// The velocity that a chord is off by, along the ray of an echo that arrives at `t_s`.
+    fn off_chord_m_per_s(
+        &self,
+        plan: &PingPlan,
+        leg: &PathLeg,
+        (pose, t_s): (&Pose, f64),
+        ray: &Ray,
+    ) -> f64 {
+        let [velocity, rate] = leg.doppler;
+        let off = |pose: &Pose, t_s: f64| {
+            let exact = pose.point_velocity_m_per_s(self.arm_m);
+            (exact - velocity - rate * (t_s - leg.start_s)).dot(ray.back)
+        };
+        let begin = off(pose, t_s);
+        // The second order of `stretch` is off as a whole, and counted with the range acceleration.
+        if plan.model.doppler != DopplerModel::StretchQuadratic {
+            return begin;
+        }
+        let later_s = t_s + self.pulse_s;
+        let mean = 0.5 * (begin + off(&plan.trajectory.pose_at(later_s), later_s));
+        if mean.abs() > begin.abs() {
+            mean
+        } else {
+            begin
+        }
     }
 
     /// The way to a scatterer and back.
@@ -968,6 +1094,7 @@ impl ReceivingElement {
                     + at.unsteady_m_per_s2.dot(ray.back)),
                 change[0],
                 0.0,
+                0.0,
             ],
             across_m_per_s: closing_back - v_back.dot(at.axis) * at.axis.dot(ray.back),
         }
@@ -999,8 +1126,11 @@ impl ReceivingElement {
                 let u = *m * ray;
                 d.towards(u.x, u.y, u.z)
             };
-            let level = towards(&self.transmit_leg, &self.transmit_from_world, out)
-                * towards(&self.element, &at.array_from_world, back);
+            let (response, off) = match &self.legs {
+                Some(legs) => self.heard(plan, legs, &ray),
+                None => (towards(&self.element, &at.array_from_world, back), [0.0; 2]),
+            };
+            let level = response * towards(&self.transmit_leg, &self.transmit_from_world, out);
             let floor = plan
                 .range_floors
                 .at(floor, half_path_m(scatterers, i, self.transmit_m));
@@ -1026,10 +1156,7 @@ impl ReceivingElement {
                 * self.one_way.amplitude(ray.back_range_m);
             let energy = weight * amplitude * amplitude * scatterers.strength[i].norm_sqr();
             let mut echo = self.motion(&ray);
-            if self.knows_path {
-                let heard_s = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s;
-                echo.values[QUANTITIES] = self.off_path_m(plan, heard_s).dot(ray.back);
-            }
+            [echo.values[OFF_PATH], echo.values[OFF_CHORD]] = off;
             let first = &mut parts[begins as usize];
             first.echoes += weight;
             first.begun += energy;

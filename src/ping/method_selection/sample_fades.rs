@@ -14,15 +14,18 @@ use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::levels::amplitude_from_db;
 use echotank_synthesis::error_model::EchoStatistics;
+use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
-    ALONE, Energies, GROWTH, OVERLAPPING, Part, QUANTITIES, ReceivingElement, SAMPLED, SINGLE,
-    TRACKED, quantities,
+    ALONE, Energies, GROWTH, OFF_CHORD, OFF_PATH, OVERLAPPING, Part, ReceivingElement, SAMPLED,
+    SINGLE, TRACKED, quantities,
 };
 use crate::method_selection::fades;
 
+/// So many echoes of a ping, the first ones, are looked at where there are too many to look at all: at the onset few interfere.
+const FIRST: usize = 200;
 /// Steps of a window in which the energies and errors of echoes are summed.
 const STEPS: usize = 8;
 /// Windows that begin within a step.
@@ -97,9 +100,58 @@ pub(super) struct WindowStatistics {
     others: Vec<(f64, usize)>,
     /// Of all windows.
     amounts: Vec<[f64; TRACKED]>,
+    /// The scatterers heard first, and their delays.
+    first: Scatterers,
+    delays_s: Vec<(f64, usize)>,
 }
 
 impl WindowStatistics {
+    /// [`Self::of_samples`] of the windows in which no more than the first [`FIRST`] echoes sound.
+    pub(super) fn of_onset(
+        &mut self,
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        frames: &[ElementFrame],
+        of: (EchoStatistics, &[f64; TRACKED]),
+    ) -> EchoStatistics {
+        let (mut first, mut delays_s) = (
+            std::mem::take(&mut self.first),
+            std::mem::take(&mut self.delays_s),
+        );
+        first.clear();
+        first.curve.clone_from(&scatterers.curve);
+        let pose = plan.trajectory.pose_at(0.0);
+        let ends = spec.receive.iter().flat_map(|array| {
+            let transmit_m = spec.transmit[array.transmit].mounting.position_m;
+            [0, array.elements - 1].map(|e| [transmit_m, array.element_body_m(e)])
+        });
+        let ends: Vec<[DVec3; 2]> = ends.map(|ends| ends.map(|end| pose.point_m(end))).collect();
+        // By the end that hears it first, from where it is at the transmission; it moves on by no more than its speed.
+        let closing = 1.0 - 2.0 * pose.velocity_m_per_s.length() / plan.sound_speed_m_per_s;
+        let delay_s = |i: usize| {
+            let ways_m = ends.iter().map(|[transmit_m, element_m]| {
+                let out_m = scatterers.transmit_m(i).distance(*transmit_m);
+                out_m + scatterers.position_m(i).distance(*element_m)
+            });
+            ways_m.fold(f64::INFINITY, f64::min) * closing / plan.sound_speed_m_per_s
+        };
+        delays_s.clear();
+        delays_s.extend((0..scatterers.len()).map(|i| (delay_s(i), i)));
+        let mut until_s = f64::INFINITY;
+        if scatterers.len() > FIRST {
+            let (_, next, _) = delays_s.select_nth_unstable_by(FIRST, |a, b| a.0.total_cmp(&b.0));
+            until_s = next.0;
+            delays_s.truncate(FIRST);
+        }
+        for (_, i) in &delays_s {
+            first.push_copy(scatterers, *i, 1.0);
+        }
+        let statistics = self.of_samples_until(spec, plan, &first, (frames, until_s), of);
+        (self.first, self.delays_s) = (first, delays_s);
+        statistics
+    }
+
     /// The statistics of a ping with the fades that its windows have, and `predicted` for the rest. `weights`: error for each unit of a quantity.
     pub(super) fn of_samples(
         &mut self,
@@ -107,6 +159,18 @@ impl WindowStatistics {
         plan: &PingPlan,
         scatterers: &Scatterers,
         frames: &[ElementFrame],
+        of: (EchoStatistics, &[f64; TRACKED]),
+    ) -> EchoStatistics {
+        self.of_samples_until(spec, plan, scatterers, (frames, f64::INFINITY), of)
+    }
+
+    /// The same of the windows before `until_s`, seconds after the transmission.
+    fn of_samples_until(
+        &mut self,
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        (frames, until_s): (&[ElementFrame], f64),
         (predicted, weights): (EchoStatistics, &[f64; TRACKED]),
     ) -> EchoStatistics {
         let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
@@ -131,6 +195,13 @@ impl WindowStatistics {
                 continue;
             }
             let window = window_samples(plan.pulse.duration_s, rate_hz).min(frame.samples);
+            let step = window as f64 / STEPS as f64;
+            let steps = (until_s * rate_hz - tail_samples(spec)) / step;
+            let samples = steps.floor() * step - plan.first_sample_s * rate_hz;
+            let samples = (samples.max(0.0) as usize).min(frame.samples);
+            if samples < window {
+                continue;
+            }
             let transmit = &spec.transmit[array.transmit];
             let level_db = plan.settings.source_level_db + transmit.level_offset_db;
             let pulse = amplitude_from_db(level_db + array.sensitivity_db).powi(2) * echo;
@@ -142,12 +213,19 @@ impl WindowStatistics {
             let mut k = 0;
             while let Some(&element) = self.looked_at.get(k) {
                 self.accumulate(spec, plan, scatterers, (array, element), &energies, window);
+                self.parts
+                    .truncate((steps.max(1.0) as usize).min(self.parts.len()));
                 if k < ends.len() {
                     let first = plan.first_sample_s * rate_hz;
-                    self.add_to_profile(window, frame.samples, first, weights);
+                    self.add_to_profile(window, samples, first, weights);
                 }
                 let of = (&energies, &bounds);
                 let signal = frame.element(element);
+                let strongest = match samples == signal.len() {
+                    true => 0.0,
+                    false => strongest_window(signal, window) / pulse,
+                };
+                let signal = (&signal[..samples], strongest);
                 self.find_worst((spec, plan), signal, window, pulse, of, &mut worst);
                 k += 1;
                 if k == ends.len() {
@@ -158,7 +236,8 @@ impl WindowStatistics {
         let mut statistics = EchoStatistics {
             fading: worst.fading,
             tails: worst.tails,
-            off_path_m: Some(worst.amounts[QUANTITIES]),
+            off_path_m: Some(worst.amounts[OFF_PATH]),
+            off_chord_m_per_s: Some(worst.amounts[OFF_CHORD]),
             ..predicted
         };
         for (value, worst) in quantities(&mut statistics).into_iter().zip(worst.amounts) {
@@ -261,7 +340,7 @@ impl WindowStatistics {
         self.parts.resize(steps, Part::default());
         let transmit = &spec.transmit[array.transmit];
         let receiver =
-            ReceivingElement::new(spec, plan, transmit, (array, element), INSTANTS).alone();
+            ReceivingElement::new(spec, plan, transmit, (array, element), INSTANTS).alone(plan);
         receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
     }
 
@@ -326,12 +405,12 @@ impl WindowStatistics {
         }
     }
 
-    /// Raises `worst` to the worst windows of an element. `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes,
+    /// Raises `worst` to the worst windows of an element. `loudest`: what some window has at least; `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes,
     /// `bounds` hold too.
     fn find_worst(
         &mut self,
         (spec, plan): (&SonarSpec, &PingPlan),
-        signal: &[Complex64],
+        (signal, loudest): (&[Complex64], f64),
         window: usize,
         pulse: f64,
         (energies, bounds): (&Energies, &Bounds),
@@ -355,7 +434,7 @@ impl WindowStatistics {
             })
         };
         let strongest = windows().map(|(from, to)| to.level - from.level);
-        let floor = strongest.fold(0.0, f64::max) * noise_share();
+        let floor = strongest.fold(loudest, f64::max) * noise_share();
         let against = |level: f64| level.max(floor).max(f64::MIN_POSITIVE);
         let independent = fades::independent_of_pulse(&plan.pulse, window as f64 / rate_hz);
         let peaks = (
@@ -363,10 +442,7 @@ impl WindowStatistics {
             fades::worst_peak(LOOKS, independent),
         );
         // The receiver filter answers so long before and after an echo, and echoes that began so many steps ago may still sound.
-        let tail = match spec.receiver.filter {
-            ReceiverFilter::Fir => MIN_WINDOW,
-            ReceiverFilter::None => 0.0,
-        };
+        let tail = tail_samples(spec);
         let ago = ((plan.pulse.duration_s * rate_hz + tail) / step).ceil() as usize;
         let ahead = (tail / step).ceil() as usize;
         let mut tails2 = 0.0f64;
@@ -475,6 +551,25 @@ impl WindowStatistics {
             self.amounts.push(amounts);
         }
     }
+}
+
+/// So many samples the receiver filter answers before and after an echo.
+fn tail_samples(spec: &SonarSpec) -> f64 {
+    match spec.receiver.filter {
+        ReceiverFilter::Fir => MIN_WINDOW,
+        ReceiverFilter::None => 0.0,
+    }
+}
+
+/// Energy of the strongest window.
+fn strongest_window(signal: &[Complex64], window: usize) -> f64 {
+    let mut sum: f64 = signal[..window].iter().map(|x| x.norm_sqr()).sum();
+    let mut strongest = sum;
+    for (leaving, entering) in signal.iter().zip(&signal[window..]) {
+        sum += entering.norm_sqr() - leaving.norm_sqr();
+        strongest = strongest.max(sum);
+    }
+    strongest
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 use crate::array::direct::CUBIC_TURNS;
 use crate::array::filter::oversample;
 use crate::array::phasor::LANES;
-use crate::error_model::{Conditions, ErrorModel, MethodRefused};
+use crate::error_model::{Conditions, ErrorModel, MethodRefused, PROMINENCES};
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 
@@ -28,27 +28,25 @@ const RARE: f64 = 0.02;
 
 /// Error from echo edges that cross a sample. A sharp pulse begins and ends between two samples. A
 /// delay error of `shift_s` can move an edge across a sample, which then gains or loses the whole
-/// echo. The estimate has the strongest echo of a window once, plus the mean energy of all
-/// crossings.
+/// echo. The estimate has the most prominent echo of which some are expected to cross once, plus the
+/// mean energy of all crossings.
 pub fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     let pulse = &conditions.pulse;
     if conditions.filter == ReceiverFilter::Fir || pulse.taper > 0.0 {
         return 0.0;
     }
     let echo_samples = (pulse.duration_s * conditions.sample_rate_hz).max(1.0);
-    let (strongest_share, echoes, spread) = match conditions.echo_statistics {
-        Some(echoes) => (echoes.strongest_share, echoes.echoes, echoes.spread),
-        None => (
-            1.0,
-            (conditions.scatterers * conditions.elements) as f64,
-            1.0,
-        ),
+    let all = (conditions.scatterers * conditions.elements) as f64;
+    let (prominent, spread) = match &conditions.echo_statistics {
+        Some(echoes) => (echoes.prominent, echoes.spread),
+        None => ([all; PROMINENCES], 1.0),
     };
     let crossed = (2.0 * shift_s * conditions.sample_rate_hz).min(echo_samples);
-    if crossed * echoes < RARE {
+    let Some(halvings) = prominent.iter().position(|n| crossed * n >= RARE) else {
         return 0.0;
-    }
-    (strongest_share / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
+    };
+    let once = libm::exp2(-(halvings as f64));
+    once + (crossed / echo_samples).sqrt() * spread
 }
 
 fn is_at_rest(conditions: &Conditions) -> bool {
@@ -280,11 +278,16 @@ impl DopplerError {
             PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
             PathModel::Polyline => first_of(k, a * segment_s, t),
             // Of the reception only. The velocity is linear along a chord of duration h, and off by A h/4 at most; the
-            // acceleration is its mean over the chord. The smaller of this and an empirical bound, a twentieth of what the
-            // acceleration makes of the velocity on a chord; `tools/points_random.py` checks it.
+            // acceleration is its mean over the chord. Where it is not known: the smaller of this and an empirical bound, a
+            // twentieth of what the acceleration makes of the velocity on a chord; `tools/points_random.py` checks it.
             PathModel::KSegment => {
-                let of_change = k * chord_change * t * (0.25 * segment_s + 0.5 * t);
-                of_change.min(first_of(k, 0.05 * a * segment_s, t))
+                match conditions.echo_statistics.and_then(|e| e.off_chord_m_per_s) {
+                    Some(speed) => 0.5 * first_of(k, speed, t),
+                    None => {
+                        let of_change = k * chord_change * t * (0.25 * segment_s + 0.5 * t);
+                        of_change.min(first_of(k, 0.05 * a * segment_s, t))
+                    }
+                }
             }
             PathModel::Continuous => 0.0,
         };
@@ -464,7 +467,7 @@ mod tests {
                 all += n;
             }
             let counted = (differ / all).sqrt();
-            let alone = (1.0 / n).sqrt();
+            let alone = 1.0;
             let got = edge_error(&conditions, late / conditions.sample_rate_hz) - alone;
             println!("late by {late}: {got:.3e}, counted {counted:.3e}");
             assert!((got / counted - 1.0).abs() < 0.02, "{got} {counted}");
@@ -479,8 +482,7 @@ mod tests {
             edge_error(conditions, late / conditions.sample_rate_hz)
         };
         assert_eq!(at(&sharp(), 0.9 * RARE / 2e4), 0.0);
-        let one = (1.0f64 / 500.0).sqrt();
-        assert!(at(&sharp(), 1.1 * RARE / 2e4) >= one);
+        assert!(at(&sharp(), 1.1 * RARE / 2e4) >= 1.0);
         let mut tapered = sharp();
         tapered.pulse.taper = 0.1;
         let filtered = Conditions {
@@ -514,8 +516,9 @@ mod tests {
                 fading: 1.0,
                 tails: 1.0,
                 off_path_m: Some(0.0),
-                strongest_share: 1.0,
+                off_chord_m_per_s: Some(0.0),
                 echoes: 1.0,
+                prominent: [1.0; PROMINENCES],
             });
             doppler_error(
                 DopplerModel::StretchQuadratic,

@@ -56,7 +56,7 @@ impl Directivity {
     }
 
     /// Whether the response is 1 in every direction.
-    pub(crate) fn is_omnidirectional(&self) -> bool {
+    pub fn is_omnidirectional(&self) -> bool {
         self.length == 0.0 && self.width == 0.0 && self.baffle_z == f64::NEG_INFINITY
     }
 

@@ -27,7 +27,7 @@ const NEAR_COST: f64 = 1.3;
 #[command(
     about = "Measure automatic method selection on random rigs and on configurations: predicted and measured errors and costs, on one thread",
     long_about = "Makes the first ping of each rig with the selected methods and with other candidates. The error is the largest in any window of a \
-pulse length (at least 32 samples) of any element, over that window or that element's whole ping, whichever is stronger. The reference solution is the \
+pulse length (at least 32 samples) of any element, over the level of that window or 55 dB below the strongest window of the ping, whichever is higher. The reference solution is the \
 direct sum on the exact trajectory with second-order Doppler, sampled as densely behind the filter as the reference; its own error, at 128 random samples by \
 the reference's equation, stands under \"ref. err\". The four worst windows of the selected methods are computed again by the reference's equation, and that error \
 counts. If the reference solution's error exceeds a tenth of the tolerance, the measured error is that of 128 random samples, marked c. \

@@ -368,6 +368,36 @@ const BEFORE: Case = Case {
     ],
 };
 
+/// The element turns by 0.9 degrees until the echo arrives, a twentieth of a side lobe beside a null of its pattern.
+const NULL: Case = Case {
+    name: "beside a null",
+    c: 1500.0,
+    pulse: "kind = \"cw\"\n\
+             center_frequency_khz = 200.0\n\
+             duration_ms = 1.0\n\
+             taper = 0.2",
+    transmit: "position_m = [0.0, 0.0, 0.0]\n\
+             pattern = \"omnidirectional\"",
+    receive: &["elements = 1\n\
+             position_m = [0.0, 0.0, 0.0]\n\
+             element_pattern = \"rectangle\"\n\
+             element_length_m = 0.5\n\
+             element_width_m = 0.01"],
+    rate_khz: 30.0,
+    filter: "fir",
+    range_m: 40.0,
+    tolerance: 0.1,
+    model: "path = \"k-segment\"\n\
+             segment_ms = 50.0\n\
+             doppler = \"auto\"\n\
+             synthesis = \"direct\"",
+    velocity: [0.0; 3],
+    acceleration: [0.0; 3],
+    pitch: [0.0, 20.0],
+    heading: [0.0, 0.0],
+    points: &[[24.372, 0.0, 43.706, 1.0, 0.0]],
+};
+
 impl Case {
     fn spec(&self, folder: &Path, model: &str) -> RigSpec {
         let track = rows(126, 0.02, |t| {
@@ -567,4 +597,10 @@ fn echoes_that_cancel_count_as_far_as_they_do() {
 #[test]
 fn what_a_filter_answers_before_an_echo_counts() {
     keeps_within(&BEFORE, 6.0);
+}
+
+/// The axes of an array turn evenly about the middle of a chord. The little that they are off there counts where the pattern is steep.
+#[test]
+fn levels_beside_a_null_count() {
+    keeps_within(&NULL, 3.0);
 }

@@ -36,8 +36,8 @@ pub(crate) struct CandidateResult {
     pub(crate) parts: [f64; Family::ALL.len()],
     pub(crate) predicted_error: f64,
     pub(crate) predicted_ms: f64,
-    /// Largest windowed error of any element, relative to the level of the window or of the element's whole ping, whichever is
-    /// higher, as in error checks. The worst windows of the selection are computed again by the equation of the reference. If the
+    /// Largest error of any window of any element, over the level of the window or 55 dB below the strongest window of the ping, whichever is
+    /// higher. The worst windows of the selection are computed again by the equation of the reference. If the
     /// reference solution is too coarse, this is an error check over 128 random samples.
     pub(crate) error: f64,
     pub(crate) by_error_check: bool,

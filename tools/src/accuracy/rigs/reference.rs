@@ -6,6 +6,7 @@ use num_complex::Complex64;
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::pulse::FLOOR_BELOW_STRONGEST_DB;
 use echotank_core::scene::Scatterers;
 use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::array::{Decimator, Direct, fill_gains, receive};
@@ -20,6 +21,8 @@ const LOOKED_AT: usize = 128;
 const WORST: usize = 4;
 /// Number of evenly spaced samples of each of these windows.
 const OF_EACH: usize = 256;
+/// Number of windows that begin within a window's length.
+const OFFSETS: usize = 8;
 
 pub(crate) struct Ping<'a> {
     pub(crate) spec: &'a SonarSpec,
@@ -43,7 +46,7 @@ struct WindowError {
     array: usize,
     element: usize,
     first: usize,
-    /// Energy per sample that the error refers to.
+    /// Energy that the error refers to: that of the window or the floor, whichever is higher.
     against: f64,
 }
 
@@ -54,6 +57,8 @@ pub(crate) struct ReferenceSolution<'a> {
     /// Samples by array and element.
     records: Vec<Vec<Vec<Complex64>>>,
     window: usize,
+    /// Energy of a window of the noise floor.
+    floor: f64,
 }
 
 impl<'a> ReferenceSolution<'a> {
@@ -68,8 +73,15 @@ impl<'a> ReferenceSolution<'a> {
             decimator,
             records: Vec::new(),
             window,
+            floor: 0.0,
         };
         reference.records = reference.sum();
+        let records = reference.records.iter().enumerate();
+        let elements = records.flat_map(|(array, of)| (0..of.len()).map(move |e| (array, e)));
+        let loudest = elements
+            .flat_map(|(array, element)| reference.energies(array, element, |_| 0.0))
+            .fold(0.0, |loudest: f64, (_, level)| loudest.max(level));
+        reference.floor = loudest * 10f64.powf(-FLOOR_BELOW_STRONGEST_DB / 10.0);
         Ok(reference)
     }
 
@@ -136,37 +148,53 @@ impl<'a> ReferenceSolution<'a> {
         values
     }
 
-    /// Energy per sample that the error of a window refers to: that of the window or the mean of the ping, whichever is higher.
-    fn against(&self, array: usize, element: usize, first: usize) -> f64 {
+    /// Energies of every window of an element, by its first sample: of `off` and of the element's own samples.
+    fn energies(
+        &self,
+        array: usize,
+        element: usize,
+        off: impl Fn(usize) -> f64,
+    ) -> Vec<(f64, f64)> {
         let record = &self.records[array][element];
-        let whole: f64 = record.iter().map(|x| x.norm_sqr()).sum();
-        let window = &record[first..(first + self.window).min(record.len())];
-        let loud: f64 = window.iter().map(|x| x.norm_sqr()).sum();
-        loud.max(whole / record.len() as f64 * window.len() as f64)
+        let window = self.window.min(record.len());
+        // Summed anew at every window: differences of running sums would lose the weak windows behind the strong ones.
+        let sum = |first: usize| {
+            let of = first..first + window;
+            of.fold((0.0, 0.0), |(off_sum, level), k| {
+                (off_sum + off(k), level + record[k].norm_sqr())
+            })
+        };
+        (0..=record.len() - window)
+            .step_by((window / OFFSETS).max(1))
+            .map(sum)
+            .collect()
     }
 
-    /// Every window of every element, worst first.
+    /// Worst windows of every element, worst first: at most one in each stretch of a window's length.
     fn offs(&self, got: &PingOutput) -> Vec<WindowError> {
         let mut offs = Vec::new();
         for (array, (frame, records)) in got.elements.iter().zip(&self.records).enumerate() {
             for (element, want) in records.iter().enumerate() {
-                let got = frame.element(element).chunks(self.window);
-                let windows = got.zip(want.chunks(self.window)).enumerate();
-                for (k, (got, want)) in windows {
-                    let off = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr());
-                    let off: f64 = off.sum();
-                    let first = k * self.window;
-                    let against = self.against(array, element, first);
-                    if against > 0.0 {
-                        offs.push(WindowError {
-                            square: off / against,
-                            array,
-                            element,
-                            first,
-                            against,
-                        });
+                let got = frame.element(element);
+                let all = self.energies(array, element, |k| (got[k] - want[k]).norm_sqr());
+                let mut stretches = Vec::new();
+                for (k, (off, level)) in all.into_iter().enumerate() {
+                    let against = level.max(self.floor);
+                    let error = WindowError {
+                        square: off / against,
+                        array,
+                        element,
+                        first: k * (self.window / OFFSETS).max(1),
+                        against,
+                    };
+                    let stretch = error.first / self.window;
+                    if stretch == stretches.len() {
+                        stretches.push(error);
+                    } else if error.square > stretches[stretch].square {
+                        stretches[stretch] = error;
                     }
                 }
+                offs.append(&mut stretches);
             }
         }
         // Among equal errors, the window with the higher level is first.
@@ -224,11 +252,10 @@ impl<'a> ReferenceSolution<'a> {
         let squares = picks.iter().zip(&want).map(|(pick, want)| {
             let first = pick.sample.saturating_sub(self.window / 2);
             let length = self.window.min(self.plan.sample_count - first);
-            let against = self.against(pick.array, pick.element, first) / length as f64;
-            match against > 0.0 {
-                true => (of(pick) - want).norm_sqr() / against,
-                false => 0.0,
-            }
+            let record = &self.records[pick.array][pick.element][first..first + length];
+            let level: f64 = record.iter().map(|x| x.norm_sqr()).sum();
+            let against = level.max(self.floor * length as f64 / self.window as f64);
+            (of(pick) - want).norm_sqr() * length as f64 / against
         });
         (squares.sum::<f64>() / LOOKED_AT as f64).sqrt()
     }
