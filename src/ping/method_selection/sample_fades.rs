@@ -100,9 +100,54 @@ pub(super) struct WindowStatistics {
     others: Vec<(f64, usize)>,
     /// Of all windows.
     amounts: Vec<[f64; TRACKED]>,
-    /// The scatterers heard first, and their delays.
+    onset: Onset,
+}
+
+/// The scatterers heard first. Buffers.
+#[derive(Default)]
+struct Onset {
     first: Scatterers,
     delays_s: Vec<(f64, usize)>,
+    /// Transmitter and element, world, metres.
+    ends_m: Vec<[DVec3; 2]>,
+}
+
+impl Onset {
+    /// Finds the first [`FIRST`] scatterers, and the delay of the next in seconds, at least. `ends_m`: transmitters and elements at the transmission,
+    /// world, metres; `moving`: the share of the speed of sound at which they move.
+    fn find(
+        &mut self,
+        ends_m: impl Iterator<Item = [DVec3; 2]>,
+        c: f64,
+        moving: f64,
+        scatterers: &Scatterers,
+    ) -> f64 {
+        self.ends_m.clear();
+        self.ends_m.extend(ends_m);
+        let closing = 1.0 - 2.0 * moving;
+        let delay_s = |i: usize| {
+            let ways_m = self.ends_m.iter().map(|[transmit_m, element_m]| {
+                let out_m = scatterers.transmit_m(i).distance(*transmit_m);
+                out_m + scatterers.position_m(i).distance(*element_m)
+            });
+            ways_m.fold(f64::INFINITY, f64::min) * closing / c
+        };
+        self.delays_s.clear();
+        self.delays_s
+            .extend((0..scatterers.len()).map(|i| (delay_s(i), i)));
+        let mut next_s = f64::INFINITY;
+        if scatterers.len() > FIRST {
+            let earlier = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0);
+            next_s = self.delays_s.select_nth_unstable_by(FIRST, earlier).1.0;
+            self.delays_s.truncate(FIRST);
+        }
+        self.first.clear();
+        self.first.curve.clone_from(&scatterers.curve);
+        for (_, i) in &self.delays_s {
+            self.first.push_copy(scatterers, *i, 1.0);
+        }
+        next_s
+    }
 }
 
 impl WindowStatistics {
@@ -115,40 +160,17 @@ impl WindowStatistics {
         frames: &[ElementFrame],
         of: (EchoStatistics, &[f64; TRACKED]),
     ) -> EchoStatistics {
-        let (mut first, mut delays_s) = (
-            std::mem::take(&mut self.first),
-            std::mem::take(&mut self.delays_s),
-        );
-        first.clear();
-        first.curve.clone_from(&scatterers.curve);
+        let mut onset = std::mem::take(&mut self.onset);
         let pose = plan.trajectory.pose_at(0.0);
-        let ends = spec.receive.iter().flat_map(|array| {
+        let ends_m = spec.receive.iter().flat_map(|array| {
             let transmit_m = spec.transmit[array.transmit].mounting.position_m;
-            [0, array.elements - 1].map(|e| [transmit_m, array.element_body_m(e)])
+            [0, array.elements - 1]
+                .map(|e| [transmit_m, array.element_body_m(e)].map(|end_m| pose.point_m(end_m)))
         });
-        let ends: Vec<[DVec3; 2]> = ends.map(|ends| ends.map(|end| pose.point_m(end))).collect();
-        // By the end that hears it first, from where it is at the transmission; it moves on by no more than its speed.
-        let closing = 1.0 - 2.0 * pose.velocity_m_per_s.length() / plan.sound_speed_m_per_s;
-        let delay_s = |i: usize| {
-            let ways_m = ends.iter().map(|[transmit_m, element_m]| {
-                let out_m = scatterers.transmit_m(i).distance(*transmit_m);
-                out_m + scatterers.position_m(i).distance(*element_m)
-            });
-            ways_m.fold(f64::INFINITY, f64::min) * closing / plan.sound_speed_m_per_s
-        };
-        delays_s.clear();
-        delays_s.extend((0..scatterers.len()).map(|i| (delay_s(i), i)));
-        let mut until_s = f64::INFINITY;
-        if scatterers.len() > FIRST {
-            let (_, next, _) = delays_s.select_nth_unstable_by(FIRST, |a, b| a.0.total_cmp(&b.0));
-            until_s = next.0;
-            delays_s.truncate(FIRST);
-        }
-        for (_, i) in &delays_s {
-            first.push_copy(scatterers, *i, 1.0);
-        }
-        let statistics = self.of_samples_until(spec, plan, &first, (frames, until_s), of);
-        (self.first, self.delays_s) = (first, delays_s);
+        let c = plan.sound_speed_m_per_s;
+        let until_s = onset.find(ends_m, c, pose.velocity_m_per_s.length() / c, scatterers);
+        let statistics = self.of_samples_until(spec, plan, &onset.first, (frames, until_s), of);
+        self.onset = onset;
         statistics
     }
 
@@ -575,6 +597,29 @@ fn strongest_window(signal: &[Complex64], window: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echotank_core::scene::ScatterLaw;
+
+    /// Scatterers ahead at growing ranges, in any order: the nearest are found, and the next bounds their windows.
+    #[test]
+    fn the_first_echoes_of_a_ping_are_found() {
+        let mut scatterers = Scatterers::default();
+        let count = 3 * FIRST;
+        for k in 0..count {
+            // 7 has no factor in common with the count.
+            let range_m = 5.0 + 0.01 * ((7 * k) % count) as f64;
+            let law = ScatterLaw::Point;
+            scatterers.push(DVec3::Z * range_m, [0.0; 3], Complex64::ONE, law);
+        }
+        let mut onset = Onset::default();
+        // The second end is 1 m nearer.
+        let ends_m = [[DVec3::ZERO; 2], [DVec3::ZERO, DVec3::Z]];
+        let next_s = onset.find(ends_m.into_iter(), 1500.0, 0.01, &scatterers);
+        let farthest_m = onset.first.down_m.iter().copied().fold(0.0, f64::max);
+        assert_eq!(onset.first.len(), FIRST);
+        assert!((farthest_m - (5.0 + 0.01 * (FIRST - 1) as f64)).abs() < 1e-9);
+        let next_m = 5.0 + 0.01 * FIRST as f64;
+        assert!((next_s * 1500.0 / (0.98 * (2.0 * next_m - 1.0)) - 1.0).abs() < 1e-9);
+    }
 
     /// Onsets of one or two echoes in a window, a tenth of each, whose samples are weaker than they are by themselves. Two may cancel, and their errors
     /// add up; one does not.
