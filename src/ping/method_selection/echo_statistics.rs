@@ -1303,6 +1303,33 @@ mod tests {
         }
     }
 
+    /// Echoes of 32 samples that begin together: alone a sample is much of what a window holds, among a hundred little.
+    #[test]
+    fn lone_echoes_are_prominent_and_those_of_a_crowd_are_not() {
+        let by_error = |echoes: f64| {
+            let mut parts = vec![Part::default(); 4 * PARTS];
+            parts[PARTS].echoes = echoes;
+            for part in &mut parts[PARTS..2 * PARTS] {
+                part.energy = echoes / PARTS as f64;
+                part.loudest = 1.0;
+            }
+            let mut prominent = Prominent::default();
+            prominent.count(&parts, 1e-9, 1.0 / 32.0, 3.0);
+            prominent.by_error
+        };
+        // The least that a window has is a quarter of the echoes.
+        for (echoes, largest) in [
+            (1.0f64, (4.0f64 / 32.0).sqrt()),
+            (100.0, (0.04f64 / 32.0).sqrt()),
+        ] {
+            for (k, count) in by_error(echoes).into_iter().enumerate() {
+                let level = libm::exp2(-(k as f64 + 1.0));
+                let want = if largest > level { 3.0 * echoes } else { 0.0 };
+                assert_eq!(count, want, "{echoes}, above {level}");
+            }
+        }
+    }
+
     /// Legs of a platform that flies past: far away the third derivatives, near by all that is left beyond the leading edge's rate.
     #[test]
     fn what_a_pulse_leaves_of_a_range_is_its_third_derivative_or_all_of_it() {
