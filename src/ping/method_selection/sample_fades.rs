@@ -427,8 +427,8 @@ impl WindowStatistics {
         }
     }
 
-    /// Raises `worst` to the worst windows of an element. `loudest`: what some window has at least; `pulse`: the sum of the squares of an echo of unit strength, volts squared. Of many echoes,
-    /// `bounds` hold too.
+    /// Raises `worst` to the worst windows of an element. `loudest`: what some window has at least; `pulse`: the sum of the squares of an echo of unit
+    /// strength, volts squared. Of many echoes, `bounds` hold too.
     fn find_worst(
         &mut self,
         (spec, plan): (&SonarSpec, &PingPlan),

@@ -29,7 +29,7 @@ const RARE: f64 = 0.02;
 /// Error from echo edges that cross a sample. A sharp pulse begins and ends between two samples. A
 /// delay error of `shift_s` can move an edge across a sample, which then gains or loses the whole
 /// echo. The estimate has the most prominent echo of which some are expected to cross once, plus the
-/// mean energy of all crossings.
+/// mean energy of all crossings. Without statistics any echo may have a window with no other sample.
 pub fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     let pulse = &conditions.pulse;
     if conditions.filter == ReceiverFilter::Fir || pulse.taper > 0.0 {
