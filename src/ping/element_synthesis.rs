@@ -634,6 +634,12 @@ pub(crate) fn filter_design(
     })
 }
 
+/// How long before and after an echo the receiver filter answers, seconds.
+pub(crate) fn response_half_s(spec: &SonarSpec, sound_speed_m_per_s: f64) -> f64 {
+    filter_design(spec, Synthesis::Direct, sound_speed_m_per_s)
+        .map_or(0.0, |design| design.response_half_s())
+}
+
 /// The shortest pulse within the limits.
 pub(crate) fn shortest_pulse(spec: &SonarSpec) -> Pulse {
     Pulse {

@@ -11,6 +11,7 @@ use echotank_core::frames::Pose;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{BaffledFace, Footprint, PatternSide, ResolutionCell};
 
+use crate::element_synthesis::response_half_s;
 use crate::range_floors::GATHERED_BELOW_DB;
 
 /// Number of times in the reception window at which the platform's motion is sampled.
@@ -21,9 +22,10 @@ const MARGIN: f64 = 0.25;
 /// Writes the footprints of a ping to `out`: those of the receive arrays in their order, then those of further pulses from other transmitters.
 pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
     let window_s = plan.window_s(spec.receiver.sample_rate_hz);
+    let heard_s = window_s + response_half_s(spec, plan.sound_speed_m_per_s);
     let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
     let start = plan.trajectory.pose_at(0.0);
-    let (turn, moved_m) = motion(plan, &start, window_s);
+    let (turn, moved_m) = motion(plan, &start, heard_s);
     let durations =
         std::iter::once(plan.pulse).chain(spec.more_pulses.iter().map(|more| more.pulse));
     let bend = Bend::of(plan);
@@ -60,7 +62,8 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
         Footprint {
             apex_m,
             receiver_m,
-            max_range_m: 0.5 * window_s * bend.fastest_m_per_s,
+            // The way back is shorter by as much.
+            max_range_m: 0.5 * (heard_s * bend.fastest_m_per_s + at_reception.shift_m),
             sides: [a, b, c, d],
             depth: plan.model.cull_db.map_or(f64::INFINITY, |db| {
                 let below_db = match spec.synthesis.culls_by_window {

@@ -1,4 +1,4 @@
-//! One ping in six steps: [`make_ping`] is the function to read first.
+//! One ping in nine steps: [`make_ping`] is the function to read first.
 //!
 //! In: an order of a ping, the navigation and the scene. Out: a [`PingSlot`] with the plan of the ping and everything it made. Nothing here fails
 //! but for missing navigation, nothing logs, and nothing allocates after the first ping at the largest settings, but for the predicted errors of a
@@ -28,10 +28,7 @@ pub fn make_ping(
 ) -> Result<(), NavGap> {
     motion(rig, sonar, order, mode, host_utc, slot)?;
     gather(rig, sonar, slot);
-    insonify(rig, sonar, slot);
-    synthesise(rig, sonar, slot);
-    receive(rig, sonar, slot);
-    form(rig, sonar, slot);
+    finish_ping(rig, sonar, slot);
     Ok(())
 }
 
@@ -66,10 +63,13 @@ pub fn make_degraded_ping(
 
 /// Makes the rest of a ping that has its motion and its scatterers.
 pub fn finish_ping(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    choose_path(rig, sonar, slot);
     insonify(rig, sonar, slot);
     synthesise(rig, sonar, slot);
+    predict(rig, sonar, slot);
     receive(rig, sonar, slot);
     form(rig, sonar, slot);
+    learn(rig, sonar, slot);
 }
 
 /// The plan of the ping: how the platform moves while it listens, and with which methods and faults it is made.
@@ -82,7 +82,7 @@ pub fn motion(
     slot: &mut PingSlot,
 ) -> Result<(), NavGap> {
     rig.place_scene();
-    let window_s = rig.window_s(sonar, order);
+    let window_s = rig.motion_s(sonar, order);
     let trajectory = &mut slot.plan.trajectory;
     let mut nav = rig
         .history
@@ -157,21 +157,30 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     finder.find(&unit.spec, &mut slot.plan, &rig.scatterers);
 }
 
-/// The way of the sound from the transmitters to every scatterer.
-pub fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
-    let unit = &mut rig.sonars[sonar];
-    if let Some(method_selector) = &mut unit.method_selector {
+/// The path model that keeps the tolerance with the motion of this ping, where the configuration leaves it to the method selection.
+pub fn choose_path(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    if let Some(method_selector) = &mut rig.sonars[sonar].method_selector {
         method_selector.at_ping(&mut slot.plan, &rig.scatterers);
     }
-    unit.pipeline
-        .insonify(&slot.plan, &rig.scatterers, &mut slot.output);
+}
+
+/// The way of the sound from the transmitters to every scatterer.
+pub fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let pipeline = &mut rig.sonars[sonar].pipeline;
+    pipeline.insonify(&slot.plan, &rig.scatterers, &mut slot.output);
 }
 
 /// The sum of the echoes at every element.
 pub fn synthesise(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let PingSlot { plan, output } = slot;
+    let pipeline = &mut rig.sonars[sonar].pipeline;
+    pipeline.synthesise(plan, &rig.scatterers, output);
+}
+
+/// The predicted error of a method selection, from the samples of the elements.
+pub fn predict(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let unit = &mut rig.sonars[sonar];
     let PingSlot { plan, output } = slot;
-    unit.pipeline.synthesise(plan, &rig.scatterers, output);
     if let Some(method_selector) = &mut unit.method_selector {
         let is_direct = unit.pipeline.is_direct_instead();
         method_selector.after_synthesis(plan, &rig.scatterers, &output.elements, is_direct);
@@ -184,11 +193,16 @@ pub fn receive(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     pipeline.receive(&slot.plan, &mut slot.output);
 }
 
-/// Side-scan lines, beams and soundings; then the method selection learns from the ping.
+/// Side-scan lines, beams and soundings.
 pub fn form(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+    let PingSlot { plan, output } = slot;
+    rig.sonars[sonar].pipeline.form(plan, output);
+}
+
+/// What the method selection takes from the ping for later ones.
+pub fn learn(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let unit = &mut rig.sonars[sonar];
     let PingSlot { plan, output } = slot;
-    unit.pipeline.form(plan, output);
     if let Some(method_selector) = &mut unit.method_selector {
         output.methods = method_selector.mark();
         method_selector.after_ping(plan, &rig.scatterers, output.error_check.as_ref());

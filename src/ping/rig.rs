@@ -5,6 +5,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::PingOrder;
+use crate::element_synthesis::response_half_s;
 use crate::faults::Faults;
 use crate::method_selection::costs::Costs;
 use crate::method_selection::live::MethodSelector;
@@ -283,6 +284,12 @@ impl Rig {
         let c = self.spec.medium.sound_speed_m_per_s;
         let rate_hz = self.sonars[sonar].spec.receiver.sample_rate_hz;
         plan::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
+    }
+
+    /// How long an order needs the motion of the platform, s: in the receive window, and as far as the receiver filter looks ahead.
+    pub fn motion_s(&self, sonar: usize, order: &PingOrder) -> f64 {
+        let c = self.spec.medium.sound_speed_m_per_s;
+        self.window_s(sonar, order) + response_half_s(&self.sonars[sonar].spec, c)
     }
 
     /// Scatterers used by the last ping.

@@ -75,7 +75,7 @@ pub(crate) fn read_navigation_for(
     order: &PingOrder,
 ) -> bool {
     let from = order.transmit_utc;
-    let to = from.plus_s(rig.window_s(sonar, order));
+    let to = from.plus_s(rig.motion_s(sonar, order));
     match rig.spec.nav.mode {
         // Only the samples that a live rig would have when it predicts the ping.
         NavMode::Predict => {

@@ -12,7 +12,7 @@ use crate::method_selection::{MotionScale, fades};
 use crate::range_floors::half_path_m;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
-use echotank_core::frames::{Pose, Trajectory};
+use echotank_core::frames::{Pose, Trajectory, VectorKnot};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{PingPlan, Segment};
 use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
@@ -26,7 +26,7 @@ use echotank_synthesis::error_model::{Conditions, EchoStatistics, PROMINENCES};
 pub const SAMPLE_SIZE: usize = 20_000;
 /// Instants at which an element's motion is tabled.
 pub(super) const INSTANTS: usize = 64;
-/// ... for [`echo_peaks`], which looks at no more than so many scatterers.
+/// ... for [`echo_peaks`], which looks at about so many pairs of a scatterer and an end of an array, and at no more scatterers that are near.
 const FEW_INSTANTS: usize = 8;
 const FEW_SCATTERERS: usize = 400;
 /// Rounding of finite differences of velocities, m/s^2.
@@ -192,6 +192,18 @@ impl Energies {
             }
         }
         self
+    }
+
+    /// As `last`, over the rms of what has this share of an echo's energy at its end.
+    pub(super) fn last_over(&self, growth: Growth, share: f64) -> f64 {
+        let g = growth as usize;
+        let left = self.alone[STEPS] * (1.0 - share);
+        let begin = self.alone.partition_point(|energy| *energy < left);
+        let part = STEPS - STEPS / PARTS;
+        let begin = begin.min(part);
+        let energy = self.alone[STEPS] - self.alone[begin];
+        let rms = ((self.squared[g][STEPS] - self.squared[g][begin]) / energy).sqrt();
+        self.last[g] * self.last_part[g] / rms.max(f64::MIN_POSITIVE)
     }
 }
 
@@ -497,15 +509,18 @@ pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatter
         values: [0.0; QUANTITIES],
         nearest_m: f64::INFINITY,
     };
-    let stride = scatterers.len().div_ceil(FEW_SCATTERERS).max(1);
     let heard_m = plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
     let near = near(spec, plan, scatterers);
-    for array in &spec.receive {
+    // Each end looks at others.
+    let ends = 2 * spec.receive.len().max(1);
+    let stride = scatterers.len().div_ceil(FEW_SCATTERERS).max(1);
+    for (a, array) in spec.receive.iter().enumerate() {
         let transmit = &spec.transmit[array.transmit];
-        for element in [0, array.elements - 1] {
+        for (e, element) in [0, array.elements - 1].into_iter().enumerate() {
             let receiver =
                 ReceivingElement::new(spec, plan, transmit, (array, element), FEW_INSTANTS);
-            let evenly = (0..scatterers.len()).step_by(stride);
+            let first = (2 * a + e) * stride;
+            let evenly = (first..scatterers.len()).step_by(ends * stride);
             for i in evenly.chain(near.iter().copied()) {
                 let place_m = scatterers.position_m(i);
                 let sent_m = scatterers.transmit_m(i);
@@ -540,17 +555,21 @@ fn near(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<usize
     let way_m = pose.velocity_m_per_s.length() * plan.pulse.duration_s;
     let reach_m = arm_m + NEAR_WAYS * way_m;
     let at_m = pose.position_m;
-    let places = scatterers
-        .north_m
-        .iter()
-        .zip(&scatterers.east_m)
-        .zip(&scatterers.down_m);
-    places
+    let is_near = |((&north_m, &east_m), &down_m): ((&f64, &f64), &f64)| {
+        let (x, y, z) = (north_m - at_m.x, east_m - at_m.y, down_m - at_m.z);
+        x * x + y * y + z * z < reach_m * reach_m
+    };
+    let places = || {
+        let level_m = scatterers.north_m.iter().zip(&scatterers.east_m);
+        level_m.zip(&scatterers.down_m)
+    };
+    // Mostly there are none: counting is faster than looking for the first.
+    if places().map(|place| u32::from(is_near(place))).sum::<u32>() == 0 {
+        return Vec::new();
+    }
+    places()
         .enumerate()
-        .filter(|&(_, ((&north_m, &east_m), &down_m))| {
-            let (x, y, z) = (north_m - at_m.x, east_m - at_m.y, down_m - at_m.z);
-            x * x + y * y + z * z < reach_m * reach_m
-        })
+        .filter(|(_, place)| is_near(*place))
         .map(|(i, _)| i)
         .take(FEW_SCATTERERS)
         .collect()
@@ -682,6 +701,26 @@ fn unsteady_m_per_s2(
     } else {
         whole
     }
+}
+
+/// Times of the knots of a trajectory between two instants, seconds: of each quantity as many as are looked at within a step, at most.
+fn knots_s(trajectory: &Trajectory, from_s: f64, to_s: f64) -> impl Iterator<Item = f64> {
+    let Trajectory {
+        position,
+        attitude,
+        heave,
+        ..
+    } = trajectory;
+    fn between<K>(knots: &[K], time_s: fn(&K) -> f64, ends_s: [f64; 2]) -> &[K] {
+        let [begin, end] = ends_s.map(|end_s| knots.partition_point(|k| time_s(k) < end_s));
+        &knots[begin..end.min(begin + MAX_LOOKS as usize)]
+    }
+    let ends_s = [from_s, to_s];
+    let of = |k: &VectorKnot| k.time_s;
+    let turning = between(attitude, |k| k.time_s, ends_s);
+    let moving = between(position, of, ends_s).iter();
+    let moving = moving.chain(between(heave, of, ends_s)).map(of);
+    moving.chain(turning.iter().map(|k| k.time_s))
 }
 
 /// Rounding of places, metres.
@@ -838,7 +877,10 @@ impl ReceivingElement {
                     false => 0,
                 };
                 let from_s = (1..=cuts).map(|k| heard_s - k as f64 / LOOKS_OF_A_PULSE * pulse_s);
-                let all = from_s.map(|t_s| unsteady_at(arm_m, t_s));
+                // A knot amid the pulse: the mean accelerations of long steps may hide its step.
+                let knots_s = knots_s(&plan.trajectory, t_s, t_s + step_s + pulse_s);
+                let amid_s = knots_s.map(|knot_s| (knot_s - 0.5 * pulse_s).max(0.0));
+                let all = from_s.chain(amid_s).map(|t_s| unsteady_at(arm_m, t_s));
                 return all.fold(change, larger);
             }
             let from_s = (0..=looks as usize).map(|k| t_s + k as f64 / looks * step_s);
@@ -1233,7 +1275,6 @@ mod tests {
     use super::*;
     use std::f64::consts::TAU;
 
-    use echotank_core::frames::VectorKnot;
     use glam::DQuat;
     use num_complex::Complex64;
     use rand_chacha::ChaCha8Rng;

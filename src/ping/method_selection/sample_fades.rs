@@ -25,7 +25,7 @@ use crate::method_selection::echo_statistics::{
 use crate::method_selection::fades;
 
 /// So many echoes of a ping, the first ones, are looked at where there are too many to look at all: at the onset few interfere.
-const FIRST: usize = 200;
+const FIRST: usize = 64;
 /// Steps of a window in which the energies and errors of echoes are summed.
 const STEPS: usize = 8;
 /// Windows that begin within a step.
@@ -559,14 +559,17 @@ impl WindowStatistics {
             let heard = (window.energy / floor.max(f64::MIN_POSITIVE))
                 .sqrt()
                 .min(1.0);
-            let share = match window.energy < ALONE * window.loudest {
-                true => 1.0,
-                false => window.ends / window.energy,
-            };
+            let is_alone = window.energy < ALONE * window.loudest;
+            let share = window.ends / window.energy;
             let mut amounts = [0.0; TRACKED];
             for q in 0..TRACKED {
                 let rms = (window.squares[q] / window.energy).sqrt();
-                let amount = rms * energies.last[GROWTH[q] as usize] * share * heard;
+                // A short pulse may have more than its last quarter in a step.
+                let worst_over_rms = match is_alone {
+                    true => energies.last_over(GROWTH[q], window.energy / window.loudest),
+                    false => energies.last[GROWTH[q] as usize] * share,
+                };
+                let amount = rms * worst_over_rms * heard;
                 amounts[q] = amount;
                 worst.amounts[q] = worst.amounts[q].max(amount);
             }

@@ -76,7 +76,8 @@ pub(super) struct Waiting {
     pub(super) order: PingOrder,
     /// Delay of the pulse behind the regular schedule.
     pub(super) put_off_s: f64,
-    pub(super) window_s: f64,
+    /// How long it needs the motion of the platform.
+    pub(super) motion_s: f64,
     pub(super) due: Deadlines,
 }
 
@@ -395,7 +396,7 @@ impl Pacer {
                     sonar,
                     order,
                     put_off_s,
-                    window_s,
+                    motion_s: self.rig.motion_s(sonar, &order),
                     due,
                 },
             );
@@ -490,7 +491,7 @@ impl Pacer {
         let Waiting {
             sonar,
             order,
-            window_s,
+            motion_s,
             due,
             put_off_s,
         } = *front;
@@ -498,7 +499,7 @@ impl Pacer {
         let is_covered = match self.rig.spec.nav.mode {
             NavMode::Predict => true,
             NavMode::Settle => {
-                let end = order.transmit_utc.plus_s(window_s);
+                let end = order.transmit_utc.plus_s(motion_s);
                 self.rig.history.coverage(order.transmit_utc, end) == Coverage::Ready
             }
         };

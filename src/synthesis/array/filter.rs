@@ -153,10 +153,14 @@ pub struct FilterDesign {
 }
 
 impl FilterDesign {
+    /// Half the length of the impulse response, seconds.
+    pub fn response_half_s(&self) -> f64 {
+        0.5 * length_s(&self.pulse, self.sample_rate_hz, self.doppler_hz)
+    }
+
     /// Number of taps of the filter.
     pub fn taps(&self) -> usize {
-        let half_s = 0.5 * length_s(&self.pulse, self.sample_rate_hz, self.doppler_hz);
-        let half = (half_s * self.sample_rate_hz * self.oversample as f64).floor() as usize;
+        let half = (self.response_half_s() * self.sample_rate_hz * self.oversample as f64).floor() as usize;
         2 * (half + END_POINTS / 2) + 1
     }
 

@@ -13,7 +13,9 @@ use std::time::Instant;
 use clap::Args;
 use echotank_config::spec::RigSpec;
 use echotank_core::simd::{Kind, SimdLevel};
-use echotank_ping::make_ping::{form, insonify, receive, synthesise};
+use echotank_ping::make_ping::{
+    choose_path, form, insonify, learn, predict, receive, synthesise,
+};
 use echotank_ping::ping_cost::{PingCost, speedup};
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::threads::pool;
@@ -116,9 +118,11 @@ impl RigRates {
 }
 
 /// Separately timed parts of a ping.
-const STAGES: [&str; 6] = [
-    "gather", "insonify", "echoes", "receiver", "beams", "records",
+const STAGES: [&str; 7] = [
+    "gather", "methods", "insonify", "echoes", "receiver", "beams", "records",
 ];
+/// Choosing the path model, predicting the error, and learning from the ping.
+const METHODS: usize = 1;
 
 /// Times of the pings of one sonar.
 struct Timed {
@@ -166,15 +170,21 @@ fn timed_ping(
         .ok()?;
     let mut ms = [0.0; STAGES.len()];
     ms[0] = lap();
-    for (ms, stage) in ms[1..]
-        .iter_mut()
-        .zip([insonify, synthesise, receive, form])
-    {
-        stage(rig, sonar, slot);
-        *ms = lap();
+    let steps: [(usize, fn(&mut Rig, usize, &mut PingSlot)); 7] = [
+        (METHODS, choose_path),
+        (2, insonify),
+        (3, synthesise),
+        (METHODS, predict),
+        (4, receive),
+        (5, form),
+        (METHODS, learn),
+    ];
+    for (stage, step) in steps {
+        step(rig, sonar, slot);
+        ms[stage] += lap();
     }
     let bytes = encoders.encode(slot);
-    ms[5] = lap();
+    ms[6] = lap();
     Some((ms, bytes))
 }
 
@@ -238,7 +248,7 @@ fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
 struct Stage {
     name: String,
     ms: f64,
-    /// Cost estimate; none for insonification, which is in that of the echoes.
+    /// Cost estimate; none for insonification, which is in that of the echoes, and for the methods.
     #[serde(default)]
     estimate_ms: Option<f64>,
 }

@@ -46,6 +46,7 @@ fn a_footprint_contains_every_position_received_above_the_floor() {
             let footprints = pings.rig.sonars[0].pipeline.footprints(plan).to_vec();
             assert_eq!(footprints.len(), sonar.receive.len());
             let c = plan.sound_speed_m_per_s;
+            let window_s = plan.window_s(sonar.receiver.sample_rate_hz);
             let wavelength_m = c / plan.pulse.center_frequency_hz;
             let floor = 10f64.powf(plan.model.cull_db.expect("culled") / 20.0);
             let towards = |d: &Directivity, pose: &Pose, mounting: &Mounting, ray_m: DVec3| {
@@ -72,7 +73,8 @@ fn a_footprint_contains_every_position_received_above_the_floor() {
                     for e in [0, array.elements - 1] {
                         let back_m = at_m - back.point_m(array.element_body_m(e));
                         let received = towards(&element, &back, &array.mounting, back_m);
-                        if sent * received >= floor && out_m.length() < footprint.max_range_m {
+                        let arrives_s = (out_m.length() + back_m.length()) / c;
+                        if sent * received >= floor && arrives_s < window_s {
                             heard += 1;
                             assert!(contained, "ping {ping}, {at_m}: {}", sent * received);
                         }
