@@ -1455,6 +1455,49 @@ mod tests {
         assert_eq!(at(t_s), 0.0);
     }
 
+    /// Whatever share of an echo its end is, the last sample has what its phase has grown to.
+    #[test]
+    fn the_last_sample_is_known_from_any_share_of_an_echo() {
+        let energies = Energies::new(&Pulse {
+            kind: echotank_core::pulse::PulseKind::Cw,
+            center_frequency_hz: 100e3,
+            bandwidth_hz: 0.0,
+            duration_s: 1e-3,
+            taper: 0.0,
+        });
+        for share in [0.25, 0.4, 0.7, 1.0] {
+            let begin = 1.0 - share;
+            // Means over the share, of the growth's square.
+            let linear = (1.0 - begin * begin * begin) / share;
+            let square = (1.0 - f64::powi(begin, 5)) / share;
+            for (growth, rms, last) in [
+                (Growth::Linear, linear.sqrt(), 3f64.sqrt()),
+                (Growth::Square, square.sqrt(), 5f64.sqrt()),
+            ] {
+                let got = rms * energies.last_over(growth, share);
+                println!("{share}: {got:.3} of {last:.3}");
+                assert!((got / last - 1.0).abs() < 0.02, "{share}: {got} {last}");
+            }
+        }
+    }
+
+    #[test]
+    fn knots_are_those_within_the_interval() {
+        let mut track = Trajectory::uniform(DVec3::ZERO, DVec3::X, DQuat::IDENTITY);
+        let knot = |k: u32| VectorKnot {
+            time_s: f64::from(k),
+            value: DVec3::ZERO,
+            rate_per_s: DVec3::ZERO,
+        };
+        track.position = (0..40).map(knot).collect();
+        track.heave = vec![knot(3)];
+        track.attitude[0].time_s = 4.0;
+        let between = |from_s: f64, to_s: f64| knots_s(&track, from_s, to_s).collect::<Vec<_>>();
+        assert_eq!(between(1.5, 4.0), [2.0, 3.0, 3.0]);
+        assert_eq!(between(3.5, 4.5), [4.0, 4.0]);
+        assert_eq!(between(10.0, 39.0).len(), MAX_LOOKS as usize);
+    }
+
     /// Under a full taper the ends of a pulse hardly sound. The third order of a sharp pulse has a mean square of 1/7.
     #[test]
     fn flanks_take_the_ends_of_a_pulse() {

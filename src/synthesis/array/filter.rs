@@ -160,7 +160,8 @@ impl FilterDesign {
 
     /// Number of taps of the filter.
     pub fn taps(&self) -> usize {
-        let half = (self.response_half_s() * self.sample_rate_hz * self.oversample as f64).floor() as usize;
+        let half = (self.response_half_s() * self.sample_rate_hz * self.oversample as f64).floor()
+            as usize;
         2 * (half + END_POINTS / 2) + 1
     }
 

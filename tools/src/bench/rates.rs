@@ -13,9 +13,7 @@ use std::time::Instant;
 use clap::Args;
 use echotank_config::spec::RigSpec;
 use echotank_core::simd::{Kind, SimdLevel};
-use echotank_ping::make_ping::{
-    choose_path, form, insonify, learn, predict, receive, synthesise,
-};
+use echotank_ping::make_ping::{choose_path, form, insonify, learn, predict, receive, synthesise};
 use echotank_ping::ping_cost::{PingCost, speedup};
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::threads::pool;
@@ -170,7 +168,8 @@ fn timed_ping(
         .ok()?;
     let mut ms = [0.0; STAGES.len()];
     ms[0] = lap();
-    let steps: [(usize, fn(&mut Rig, usize, &mut PingSlot)); 7] = [
+    type Step = fn(&mut Rig, usize, &mut PingSlot);
+    let steps: [(usize, Step); 7] = [
         (METHODS, choose_path),
         (2, insonify),
         (3, synthesise),

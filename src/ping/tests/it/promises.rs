@@ -475,6 +475,36 @@ error_check = false
     }
 }
 
+/// A pulse of 14 samples: a window of 32 may hold any share of its echo, or its last sample.
+const SHORT: Case = Case {
+    name: "end of a short pulse",
+    c: 1470.6,
+    pulse: "kind = \"cw\"\n\
+             center_frequency_khz = 194.99\n\
+             duration_ms = 0.336\n\
+             taper = 0.0",
+    transmit: "position_m = [0.632, 0.723, 0.764]\n\
+             pattern = \"omnidirectional\"",
+    receive: &["elements = 20\n\
+             spacing_m = 0.004249\n\
+             position_m = [0.606, 0.428, 0.901]\n\
+             roll_deg = 60.0\n\
+             element_pattern = \"omnidirectional\""],
+    rate_khz: 40.918,
+    filter: "none",
+    range_m: 20.0,
+    tolerance: 0.028,
+    model: "path = \"auto\"\n\
+             segment_ms = 50.0\n\
+             doppler = \"stretch\"\n\
+             synthesis = \"direct\"",
+    velocity: [-5.191, -3.381, 0.0],
+    acceleration: [0.0, 0.0, 0.0],
+    pitch: [0.0, 0.0],
+    heading: [213.077, 0.0],
+    points: &[[-3.635556, 1.068548, 6.240166, -0.2269, 0.8893]],
+};
+
 /// Samples of all elements of the first ping, and the error of its methods that is predicted for its motion, and with its samples where methods are
 /// selected.
 fn first_ping(spec: &RigSpec, predict: bool) -> (Vec<Vec<Complex64>>, [f64; 2]) {
@@ -597,6 +627,51 @@ fn echoes_that_cancel_count_as_far_as_they_do() {
 #[test]
 fn what_a_filter_answers_before_an_echo_counts() {
     keeps_within(&BEFORE, 6.0);
+}
+
+/// The last sample of a lone echo has more than the rms of what of it a window happens to hold.
+#[test]
+fn the_last_sample_of_a_short_pulse_counts() {
+    keeps_within(&SHORT, 3.0);
+}
+
+/// Behind the receiver filter the last samples of a record have echoes that arrive after it, by the motion after it.
+#[test]
+fn the_last_samples_of_a_record_know_what_follows() {
+    let record = |range_m: f64| {
+        let case = Case {
+            pulse: "kind = \"cw\"\n\
+                     center_frequency_khz = 41.51\n\
+                     duration_ms = 10.0\n\
+                     taper = 0.1",
+            rate_khz: 2.241,
+            filter: "fir",
+            range_m,
+            acceleration: [1.5, -1.0, 0.5],
+            heading: [213.0, 20.0],
+            points: &[
+                [-3.6, 1.1, 9.2, -0.2, 0.9],
+                [12.4, -9.1, -4.4, -0.3, 1.2],
+                [-14.4, -15.1, 0.4, 0.8, 1.2],
+                [16.4, -9.1, -0.4, 0.8, -0.2],
+            ],
+            ..SHORT
+        };
+        let folder = tempfile::tempdir().expect("a folder");
+        first_ping(
+            &case.spec(folder.path(), "synthesis = \"reference\""),
+            false,
+        )
+        .0
+    };
+    let (short, long) = (record(24.16), record(30.0));
+    for (short, long) in short.iter().zip(&long) {
+        assert!(long.len() > short.len());
+        let off = short.iter().zip(long).map(|(a, b)| (a - b).norm());
+        let level = long.iter().map(|x| x.norm()).fold(0.0, f64::max);
+        let worst = off.fold(0.0, f64::max) / level;
+        assert!(worst < 1e-12, "{worst:e}");
+    }
 }
 
 /// The axes of an array turn evenly about the middle of a chord. The little that they are off there counts where the pattern is steep.
