@@ -91,6 +91,34 @@ fn a_footprint_contains_every_position_received_above_the_floor() {
     });
 }
 
+/// Farther from the transmitter than half the window, and nearer to the receiver.
+#[test]
+fn a_footprint_contains_what_a_distant_receiver_hears() {
+    let path = echotank_testing::repository().join("hil-configs/points.toml");
+    let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
+    let offset_m = -6.0;
+    spec.sonars[0].receive[0].mounting.position_m.y += offset_m;
+    let transmit_m = spec.sonars[0].transmit[0].mounting.position_m;
+    let receive_m = spec.sonars[0].receive[0].mounting.position_m;
+    let rate_hz = spec.sonars[0].receiver.sample_rate_hz;
+    pool(1).expect("thread").install(|| {
+        let mut pings = LoggedPings::open(&spec).expect("rig").expect("nav");
+        pings.next_ping();
+        let plan = &pings.slot.plan;
+        let footprints = pings.rig.sonars[0].pipeline.footprints(plan).to_vec();
+        let start = plan.trajectory.pose_at(0.0);
+        let apart_m = start.point_m(receive_m) - start.point_m(transmit_m);
+        let half_m = 0.5 * plan.sound_speed_m_per_s * plan.window_s(rate_hz);
+        // Half the distance between them, less the platform's way.
+        let range_m = half_m + 0.4 * apart_m.length();
+        let at_m = start.point_m(transmit_m) + apart_m.normalize() * range_m;
+        let end = plan.trajectory.pose_at(plan.window_s(rate_hz));
+        let way_m = range_m + at_m.distance(end.point_m(receive_m));
+        assert!(range_m > half_m && way_m < 2.0 * half_m);
+        assert!(footprints[0].contains(at_m), "{range_m} m of {half_m} m");
+    });
+}
+
 #[test]
 fn the_default_floor_takes_half_the_tolerance_and_is_tight_to_one_decibel() {
     let folder = echotank_testing::repository().join("hil-configs");
