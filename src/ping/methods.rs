@@ -9,6 +9,7 @@
 
 use crate::work::Work;
 use echotank_core::model::{ModelChoice, Synthesis};
+use echotank_synthesis::array::cut_echoes;
 
 /// One of the choices that make up a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -139,7 +140,7 @@ impl EchoError {
 
     /// ... and of one that is, `tails` as there: the ends of echoes have no more than these as a whole. Of two that end together, the errors add.
     pub(crate) fn of_ping(self, fading: f64, tails: f64) -> f64 {
-        let of_ends = (TWO * self.window).min(tails * self.mean);
+        let of_ends = (TWO.max(cut_echoes(tails)) * self.window).min(tails * self.mean);
         of_ends.max(fading * self.mean)
     }
 }

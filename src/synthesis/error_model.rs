@@ -76,6 +76,9 @@ pub struct Conditions {
     pub echo_statistics: Option<EchoStatistics>,
 }
 
+/// What [`EchoStatistics::tails`] include for echoes that overlap.
+pub const TAILS_ALLOW: f64 = 1.3;
+
 /// Energy-weighted motion of the received echoes, for the worst window of one pulse length, at any offset, of a ping. A phase in proportion to a
 /// value is the relative error of that window's samples, against the window's own level or a noise floor 55 dB below the strongest window,
 /// whichever is higher. Where many echoes interfere, the values include what their samples may cancel.

@@ -13,7 +13,7 @@ use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::levels::amplitude_from_db;
-use echotank_synthesis::error_model::EchoStatistics;
+use echotank_synthesis::error_model::{EchoStatistics, TAILS_ALLOW};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -25,7 +25,7 @@ use crate::method_selection::echo_statistics::{
 use crate::method_selection::fades;
 
 /// So many echoes of a ping, the first ones, are looked at where there are too many to look at all: at the onset few interfere.
-const FIRST: usize = 64;
+const FIRST: usize = 200;
 /// Steps of a window in which the energies and errors of echoes are summed.
 const STEPS: usize = 8;
 /// Windows that begin within a step.
@@ -357,7 +357,9 @@ impl WindowStatistics {
     ) {
         let rate_hz = spec.receiver.sample_rate_hz;
         let step_s = window as f64 / rate_hz / STEPS as f64;
-        let steps = (plan.window_s(rate_hz) / step_s).ceil() as usize + 1;
+        // Behind the receiver filter, what begins soon after the record is heard at its end.
+        let heard_s = plan.window_s(rate_hz) + tail_samples(spec) / rate_hz;
+        let steps = (heard_s / step_s).ceil() as usize + 1;
         self.parts.clear();
         self.parts.resize(steps, Part::default());
         let transmit = &spec.transmit[array.transmit];
@@ -490,7 +492,7 @@ impl WindowStatistics {
             amounts.extend(self.amounts_of(window, (floor, peaks), bounds, worst));
         }
         self.amounts = amounts;
-        worst.tails = worst.tails.max(OVERLAPPING * tails2.sqrt());
+        worst.tails = worst.tails.max(TAILS_ALLOW * tails2.sqrt());
         self.find_ends(floor, energies, worst);
     }
 

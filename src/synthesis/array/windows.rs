@@ -22,6 +22,7 @@ use super::filter::{Decimator, FilterDesign, FilterError};
 use super::quadrature::Quadrature;
 use crate::comparison::Comparison;
 use crate::comparison::spectral::Bins;
+use crate::error_model::TAILS_ALLOW;
 
 /// Tested echo positions between two samples: on a sample, halfway, and positions that repeat on no
 /// dense grid.
@@ -60,8 +61,17 @@ impl SingleEchoErrors {
     /// In the worst window of a ping with `fading` and `tails` as in [`EchoStatistics`](crate::error_model::EchoStatistics): the end of an echo has no
     /// more than its whole error.
     pub(super) fn of_ping(self, fading: f64, tails: f64) -> f64 {
-        let of_ends = self.window.min(tails * self.whole_at_worst);
+        let of_ends = (cut_echoes(tails) * self.window).min(tails * self.whole_at_worst);
         of_ends.max(fading * self.whole).min(MOST)
+    }
+}
+
+/// What ends of echoes amount to in the noise floor of a ping, over that of an echo of its own: more than 1 where the record cuts off echoes that are
+/// stronger than all that it holds. `tails` as in [`EchoStatistics`](crate::error_model::EchoStatistics).
+pub fn cut_echoes(tails: f64) -> f64 {
+    match tails.is_finite() {
+        true => (tails / TAILS_ALLOW * noise_share().sqrt()).max(1.0),
+        false => 1.0,
     }
 }
 
