@@ -37,13 +37,7 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
     let footprint = |array: &ArrayGeometry, transmit: &TransmitArray| {
         let apex_m = start.point_m(transmit.mounting.position_m);
         let receiver_m = start.point_m(array.mounting.position_m);
-        let half_length_m = 0.5 * array.elements as f64 * array.spacing_m;
-        let arm_m = array.mounting.position_m.length() + half_length_m;
-        // The element receives at its later position and attitude.
-        let at_reception = MotionMargin {
-            turn,
-            shift_m: apex_m.distance(receiver_m) + half_length_m + moved_m + turn * arm_m,
-        };
+        let at_reception = MotionMargin::at_reception(array, transmit, (turn, moved_m));
         let at_start = Radiator {
             pattern: &transmit.pattern,
             mounting: &transmit.mounting,
@@ -100,13 +94,7 @@ pub(crate) fn max_echo_range_m(spec: &SonarSpec, plan: &PingPlan, after_s: f64) 
     let (turn, moved_m) = motion(plan, &start, window_s);
     let apart = spec.receive.iter().map(|array| {
         let transmit = &spec.transmit[array.transmit];
-        let half_length_m = 0.5 * array.elements as f64 * array.spacing_m;
-        let arm_m = array.mounting.position_m.length() + half_length_m;
-        let apart_m = transmit
-            .mounting
-            .position_m
-            .distance(array.mounting.position_m);
-        apart_m + half_length_m + moved_m + turn * arm_m
+        MotionMargin::at_reception(array, transmit, (turn, moved_m)).shift_m
     });
     // Two-way path; the return leg is shorter by the distance of the element from the transmitter.
     0.5 * (plan.sound_speed_m_per_s * after_s + apart.fold(0.0, f64::max))
@@ -129,6 +117,23 @@ fn motion(plan: &PingPlan, start: &Pose, window_s: f64) -> (f64, f64) {
 struct MotionMargin {
     turn: f64,
     shift_m: f64,
+}
+
+impl MotionMargin {
+    /// Of the elements, which receive at their later position and attitude, from the transmitter. `turn`, radians, and `moved_m` as of [`motion`].
+    fn at_reception(
+        array: &ArrayGeometry,
+        transmit: &TransmitArray,
+        (turn, moved_m): (f64, f64),
+    ) -> Self {
+        let [sent_m, received_m] = [&transmit.mounting, &array.mounting].map(|m| m.position_m);
+        let half_length_m = 0.5 * array.elements as f64 * array.spacing_m;
+        let arm_m = received_m.length() + half_length_m;
+        Self {
+            turn,
+            shift_m: sent_m.distance(received_m) + half_length_m + moved_m + turn * arm_m,
+        }
+    }
 }
 
 /// Bounds of refraction. Along a ray, the cosine of its elevation is proportional to the sound speed (Snell), and the straight line to a scatterer lies

@@ -19,7 +19,7 @@ use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::displaced_echo_errors;
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
-use echotank_synthesis::error_model::{Conditions, EchoStatistics, PROMINENCES};
+use echotank_synthesis::error_model::{Conditions, EchoStatistics, OVERLAPPING, PROMINENCES};
 
 /// Approximate number of seabed scatterers in the sample. In each of a hundred windows they give root mean squares within a tenth. Fewer
 /// predict smaller errors: 5,000 a path error 31 % below that of 20,000 with `line256.toml`.
@@ -33,10 +33,6 @@ const FEW_SCATTERERS: usize = 400;
 const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.
 pub(super) const SAMPLED: f64 = 1.1;
-
-/// The same where echoes overlap, whose energy is not that of Gaussian samples: with [`SAMPLED`] alone, 2 of 81 rigs of `tools/points_random.py`
-/// were 2 % above the prediction.
-pub(super) const OVERLAPPING: f64 = 1.3;
 
 /// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
 const PARTS: usize = 4;

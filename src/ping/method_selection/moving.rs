@@ -10,7 +10,6 @@
 
 use crate::conditions::sound_speed_of_design;
 use crate::element_synthesis::receiver_filter_design;
-use crate::method_selection::echo_statistics::OVERLAPPING;
 use crate::method_selection::fades;
 use crate::method_selection::walked::{direct_runs, flank_points};
 use crate::work::{Figure, Work};
@@ -23,6 +22,7 @@ use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::echo::error_models::edge_error;
 use echotank_synthesis::echo::moving::MovingEchoes;
 use echotank_synthesis::error_model::Conditions;
+use echotank_synthesis::error_model::OVERLAPPING;
 
 /// Moving scatterers that a selection looks at, and a ping.
 pub(crate) const IN_SELECTION: usize = 1000;

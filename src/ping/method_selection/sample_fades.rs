@@ -13,14 +13,14 @@ use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::levels::amplitude_from_db;
-use echotank_synthesis::error_model::{EchoStatistics, TAILS_ALLOW};
+use echotank_synthesis::error_model::{EchoStatistics, OVERLAPPING};
 use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
-    ALONE, Energies, GROWTH, OFF_CHORD, OFF_PATH, OVERLAPPING, Part, ReceivingElement, SAMPLED,
-    SINGLE, TRACKED, quantities,
+    ALONE, Energies, GROWTH, OFF_CHORD, OFF_PATH, Part, ReceivingElement, SAMPLED, SINGLE, TRACKED,
+    quantities,
 };
 use crate::method_selection::fades;
 
@@ -492,7 +492,7 @@ impl WindowStatistics {
             amounts.extend(self.amounts_of(window, (floor, peaks), bounds, worst));
         }
         self.amounts = amounts;
-        worst.tails = worst.tails.max(TAILS_ALLOW * tails2.sqrt());
+        worst.tails = worst.tails.max(OVERLAPPING * tails2.sqrt());
         self.find_ends(floor, energies, worst);
     }
 

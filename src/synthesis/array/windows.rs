@@ -22,7 +22,7 @@ use super::filter::{Decimator, FilterDesign, FilterError};
 use super::quadrature::Quadrature;
 use crate::comparison::Comparison;
 use crate::comparison::spectral::Bins;
-use crate::error_model::TAILS_ALLOW;
+use crate::error_model::OVERLAPPING;
 
 /// Tested echo positions between two samples: on a sample, halfway, and positions that repeat on no
 /// dense grid.
@@ -70,7 +70,7 @@ impl SingleEchoErrors {
 /// stronger than all that it holds. `tails` as in [`EchoStatistics`](crate::error_model::EchoStatistics).
 pub fn cut_echoes(tails: f64) -> f64 {
     match tails.is_finite() {
-        true => (tails / TAILS_ALLOW * noise_share().sqrt()).max(1.0),
+        true => (tails / OVERLAPPING * noise_share().sqrt()).max(1.0),
         false => 1.0,
     }
 }
@@ -411,6 +411,17 @@ pub(crate) fn exact_echo(
 mod tests {
     use super::super::filter::oversample;
     use super::*;
+
+    /// A lone echo over the noise floor of its own, and over that of a record whose strongest window is 20 dB below it.
+    #[test]
+    fn an_echo_that_the_record_cuts_off_counts_over_the_floor_of_the_rest() {
+        let tails = |below: f64| OVERLAPPING / (noise_share() * below).sqrt();
+        assert!((cut_echoes(tails(1.0)) - 1.0).abs() < 1e-9);
+        assert!((cut_echoes(tails(0.01)) - 10.0).abs() < 1e-9);
+        assert_eq!(cut_echoes(OVERLAPPING), 1.0);
+        assert_eq!(cut_echoes(f64::INFINITY), 1.0);
+    }
+
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest;
 
