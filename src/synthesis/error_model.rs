@@ -121,8 +121,9 @@ pub struct EchoStatistics {
     pub tails: f64,
     /// Distance of an element from where the path model has it, along the rays, metres, where the path model is known.
     pub off_path_m: Option<f64>,
-    /// Velocity of an element that elements' chords are off by, along the rays, metres per second, where it is known: scaled as [`Self::closing_m_per_s`].
-    pub off_chord_m_per_s: Option<f64>,
+    /// Mean velocity within the pulse that the path model is off by, of transmitter and element together along the rays, metres per second, where the path
+    /// model is known: scaled as [`Self::closing_m_per_s`]. [`Self::unsteady_m_per_s2`] is part of it.
+    pub off_velocity_m_per_s: Option<f64>,
     /// Number of echoes of all elements.
     pub echoes: f64,
     /// How many of them have a sample whose gain or loss, at the beginning or the end, is an error above 2^-(k + 1) in some window, by k. The last

@@ -40,13 +40,10 @@ const PARTS: usize = 4;
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
 /// acceleration, turning, change of acceleration, unsteadiness, range acceleration throughout.
 pub(super) const QUANTITIES: usize = 9;
-/// Places of the acceleration and of its change among them.
-pub(super) const ACCELERATION: usize = 4;
-pub(super) const CHANGE: usize = 6;
-/// The same, and last how far the path model and the velocities of chords are off the track, where that is known.
+/// The same, and last how far the path model and its velocities are off, where that is known.
 pub(super) const TRACKED: usize = QUANTITIES + 2;
 pub(super) const OFF_PATH: usize = QUANTITIES;
-pub(super) const OFF_CHORD: usize = QUANTITIES + 1;
+pub(super) const OFF_VELOCITY: usize = QUANTITIES + 1;
 /// These quantities.
 pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] {
     [
@@ -438,7 +435,7 @@ pub fn echo_statistics(
         fading,
         tails: f64::INFINITY,
         off_path_m: None,
-        off_chord_m_per_s: None,
+        off_velocity_m_per_s: None,
         echoes: prominent.by_error[PROMINENCES - 1],
         prominent: prominent.by_error,
     })
@@ -619,9 +616,12 @@ struct PathLeg {
     turning_rad_per_s: DVec3,
     /// When the axes are exact.
     facing_s: f64,
-    /// For the Doppler term: the velocity at the start, and its rate.
-    doppler: [DVec3; 2],
+    /// For the Doppler term: the velocity at the start, its rate along the leg, and the acceleration in a pulse.
+    doppler: [DVec3; 3],
 }
+
+/// Velocities of a point: at the beginning of a pulse, and in the mean up to its middle and up to its end.
+type Velocities = [DVec3; 3];
 
 /// One element with its transmitter, through a ping.
 pub(super) struct ReceivingElement {
@@ -639,8 +639,9 @@ pub(super) struct ReceivingElement {
     /// On the body.
     arm_m: DVec3,
     body_from_array: DQuat,
-    /// Of the ping's path model, if it is known.
+    /// Of the ping's path model, if it is known; and the velocities of the transmitter that it is off by.
     legs: Option<Vec<PathLeg>>,
+    transmit_off_m_per_s: Velocities,
     pulse_s: f64,
     step_s: f64,
     at: Vec<At>,
@@ -697,6 +698,59 @@ fn unsteady_m_per_s2(
     } else {
         whole
     }
+}
+
+/// The velocity of a point on a lever arm that a segment has for the Doppler, as `echo::paths` has it.
+fn segment_m_per_s(plan: &PingPlan, segment: &Segment, arm_m: DVec3) -> DVec3 {
+    let turning = plan.trajectory.pose_at(segment.start_s);
+    let turning = turning.angular_velocity_rad_per_s;
+    segment.velocity_m_per_s + turning.cross(segment.world_from_body * arm_m)
+}
+
+/// The velocities of the transmitter that the path model is off by in the pulse.
+fn transmit_off_m_per_s(plan: &PingPlan, transmit: &TransmitArray) -> Velocities {
+    let segment = &plan.segments[0];
+    let arm_m = transmit.mounting.position_m;
+    let of_model = match plan.model.path {
+        PathModel::StopAndHop | PathModel::Polyline => {
+            Some([segment_m_per_s(plan, segment, arm_m), DVec3::ZERO])
+        }
+        PathModel::KSegment | PathModel::Continuous => None,
+    };
+    let pose = plan.trajectory.pose_from(segment.position_m, 0.0);
+    off_velocities(plan, arm_m, of_model, (&pose, 0.0), plan.pulse.duration_s)
+}
+
+/// The velocities that a model of a point's motion is off by in a pulse that begins at `t_s` with `pose`, and of which `until_s` count. `of_model`: velocity
+/// and acceleration; none: the exact velocity, with the mean acceleration of the pulse.
+///
+/// With b and e the velocities off at the beginning and at the end, T apart, and D the way off at the end, the cubic with all three is off by D/2 + (b - e) T/8
+/// in the middle.
+fn off_velocities(
+    plan: &PingPlan,
+    arm_m: DVec3,
+    of_model: Option<[DVec3; 2]>,
+    (pose, t_s): (&Pose, f64),
+    until_s: f64,
+) -> Velocities {
+    let origin_m = plan.segments[0].position_m;
+    let pose_at = |later_s: f64| plan.trajectory.pose_from(origin_m, t_s + later_s);
+    let velocity = |pose: &Pose| pose.point_velocity_m_per_s(arm_m);
+    let later = pose_at(until_s);
+    let begins = velocity(pose);
+    let [of_model, acceleration] = of_model.unwrap_or_else(|| {
+        let pulse_s = plan.pulse.duration_s;
+        let end = match until_s < pulse_s {
+            true => velocity(&pose_at(pulse_s)),
+            false => velocity(&later),
+        };
+        [begins, (end - begins) / pulse_s]
+    });
+    let begin = begins - of_model;
+    let end = velocity(&later) - of_model - acceleration * until_s;
+    let moved = (later.point_m(arm_m) - pose.point_m(arm_m)) / until_s;
+    let mean = moved - of_model - acceleration * (0.5 * until_s);
+    [begin, mean + (begin - end) * 0.25, mean]
 }
 
 /// Times of the knots of a trajectory between two instants, seconds: of each quantity as many as are looked at within a step, at most.
@@ -813,8 +867,36 @@ impl ReceivingElement {
         spec: &SonarSpec,
         plan: &PingPlan,
         transmit: &TransmitArray,
-        (array, element): (&ArrayGeometry, usize),
+        of: (&ArrayGeometry, usize),
         instants: usize,
+    ) -> Self {
+        Self::with_tables(spec, plan, transmit, of, (instants, true))
+    }
+
+    /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`].
+    pub(super) fn alone(
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        transmit: &TransmitArray,
+        of: (&ArrayGeometry, usize),
+        instants: usize,
+    ) -> Self {
+        let receiver = Self::with_tables(spec, plan, transmit, of, (instants, false));
+        Self {
+            line_m: 0.0,
+            legs: Some(receiver.legs(plan)),
+            transmit_off_m_per_s: transmit_off_m_per_s(plan, transmit),
+            ..receiver
+        }
+    }
+
+    /// `tables_changes`: of the acceleration, for echoes whose path model is not known.
+    fn with_tables(
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        transmit: &TransmitArray,
+        (array, element): (&ArrayGeometry, usize),
+        (instants, tables_changes): (usize, bool),
     ) -> Self {
         let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
         let heard_s = plan.window_s(spec.receiver.sample_rate_hz);
@@ -849,6 +931,9 @@ impl ReceivingElement {
         // The record ends with the last step: what follows is not heard.
         let last = instants - 1;
         let change = |k: usize| {
+            if !tables_changes {
+                return DVec3::ZERO;
+            }
             let from = k.min(last.saturating_sub(1));
             largest(&accelerations[from..=(k + pulse_steps).min(last)])
         };
@@ -862,6 +947,9 @@ impl ReceivingElement {
             unsteady_m_per_s2(&plan.trajectory, pulse_s, arm_m, (t_s, heard_s))
         };
         let unsteady = |t_s: f64, change: DVec3| {
+            if !tables_changes {
+                return DVec3::ZERO;
+            }
             let larger = |most: DVec3, off: DVec3| match off.length() > most.length() {
                 true => off,
                 false => most,
@@ -888,7 +976,10 @@ impl ReceivingElement {
             transmit_m_per_s: start.point_velocity_m_per_s(place),
             transmit_m_per_s2: acceleration(0.0, place),
             transmit_change_m_per_s2: largest(&of_transmitter),
-            transmit_unsteady_m_per_s2: unsteady_at(place, 0.0),
+            transmit_unsteady_m_per_s2: match tables_changes {
+                true => unsteady_at(place, 0.0),
+                false => DVec3::ZERO,
+            },
             transmit_from_world: DMat3::from_quat(
                 (start.world_from_body * transmit.mounting.body_from_array).inverse(),
             ),
@@ -899,6 +990,7 @@ impl ReceivingElement {
             arm_m,
             body_from_array: array.mounting.body_from_array,
             legs: None,
+            transmit_off_m_per_s: Velocities::default(),
             line_m: {
                 let to_last_m = (array.elements - 1 - element) as f64 * array.spacing_m;
                 let to_first_m = -(element as f64) * array.spacing_m;
@@ -927,15 +1019,6 @@ impl ReceivingElement {
         }
     }
 
-    /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`].
-    pub(super) fn alone(self, plan: &PingPlan) -> Self {
-        Self {
-            line_m: 0.0,
-            legs: Some(self.legs(plan)),
-            ..self
-        }
-    }
-
     /// The legs of the plan's path model, as `echo::paths` has them; none of the exact trajectory.
     fn legs(&self, plan: &PingPlan) -> Vec<PathLeg> {
         let segments = plan.segments.as_slice();
@@ -951,7 +1034,11 @@ impl ReceivingElement {
             array_from_world: axes(segment.world_from_body),
             turning_rad_per_s: DVec3::ZERO,
             facing_s: segment.start_s,
-            doppler: [DVec3::ZERO; 2],
+            doppler: [
+                segment_m_per_s(plan, segment, self.arm_m),
+                DVec3::ZERO,
+                DVec3::ZERO,
+            ],
         };
         let step_s = segments
             .get(1)
@@ -964,14 +1051,18 @@ impl ReceivingElement {
             let velocity = begin.point_velocity_m_per_s(self.arm_m);
             let later = end.point_velocity_m_per_s(self.arm_m);
             let array_from_world = axes(middle.world_from_body);
+            let middle_s = start_s + 0.5 * step_s;
+            let over_pulse = pose_at(middle_s + self.pulse_s);
+            let gained = over_pulse.point_velocity_m_per_s(self.arm_m)
+                - middle.point_velocity_m_per_s(self.arm_m);
             PathLeg {
                 start_s,
                 at_m,
                 velocity_m_per_s: (end_m - at_m) / step_s,
                 array_from_world,
                 turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
-                facing_s: start_s + 0.5 * step_s,
-                doppler: [velocity, (later - velocity) / step_s],
+                facing_s: middle_s,
+                doppler: [velocity, (later - velocity) / step_s, gained / self.pulse_s],
             }
         };
         match plan.model.path {
@@ -984,7 +1075,7 @@ impl ReceivingElement {
 
     /// The response of the element towards an echo, and how far the path model has the element from where it is as the echo arrives, along its ray,
     /// metres. The path model turns the pattern too: an echo whose level is off by a share e has the error of one that is off by e radians, and
-    /// both add in squares. Last the velocity that a chord is off by, metres per second: at the leading edge, or in the mean of the pulse.
+    /// both add in squares. Last the mean velocity within the pulse that it is off by, of both ways together, metres per second.
     fn heard(&self, plan: &PingPlan, legs: &[PathLeg], ray: &Ray) -> (f64, [f64; 2]) {
         let t_s = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s;
         let pose = plan.trajectory.pose_from(plan.segments[0].position_m, t_s);
@@ -992,16 +1083,14 @@ impl ReceivingElement {
         let axes = DMat3::from_quat((pose.world_from_body * self.body_from_array).inverse());
         let exact = towards(axes * ray.back);
         let before = legs.partition_point(|leg| leg.start_s <= t_s);
-        let Some(leg) = legs.get(before.max(1) - 1) else {
-            return (exact, [0.0; 2]);
+        let leg = legs.get(before.max(1) - 1);
+        let off_m_per_s = self.off_velocity_m_per_s(plan, leg, (&pose, t_s), ray);
+        let Some(leg) = leg else {
+            return (exact, [0.0, off_m_per_s]);
         };
         let at_m = leg.at_m + leg.velocity_m_per_s * (t_s - leg.start_s);
         let off_m = pose.point_m(self.arm_m) - at_m;
         let along_m = off_m.dot(ray.back);
-        let off_m_per_s = match plan.model.path {
-            PathModel::KSegment => self.off_chord_m_per_s(plan, leg, (&pose, t_s), ray),
-            _ => 0.0,
-        };
         if self.element.is_omnidirectional() || exact == 0.0 {
             return (exact, [along_m, off_m_per_s]);
         }
@@ -1014,30 +1103,34 @@ impl ReceivingElement {
         (exact, [off_m, off_m_per_s])
     }
 
-    /// The velocity that a chord is off by, along the ray of an echo that arrives at `t_s`.
-    fn off_chord_m_per_s(
+    /// The mean velocity that the path model is off by within an echo that arrives at `t_s`, along its rays, transmitter and element together: up to
+    /// the end of what is heard of it, or to the middle of that if it is larger. Of no leg: the exact trajectory.
+    fn off_velocity_m_per_s(
         &self,
         plan: &PingPlan,
-        leg: &PathLeg,
+        leg: Option<&PathLeg>,
         (pose, t_s): (&Pose, f64),
         ray: &Ray,
     ) -> f64 {
-        let [velocity, rate] = leg.doppler;
-        let off = |pose: &Pose, t_s: f64| {
-            let exact = pose.point_velocity_m_per_s(self.arm_m);
-            (exact - velocity - rate * (t_s - leg.start_s)).dot(ray.back)
-        };
-        let begin = off(pose, t_s);
-        // The second order of `stretch` is off as a whole, and counted with the range acceleration.
-        if plan.model.doppler != DopplerModel::StretchQuadratic {
-            return begin;
+        let heard_s = self.step_s * (self.at.len() - 1) as f64;
+        let until_s = (heard_s - t_s).clamp(0.0, self.pulse_s);
+        if until_s == 0.0 || plan.model.doppler == DopplerModel::None {
+            return 0.0;
         }
-        let later_s = t_s + self.pulse_s;
-        let mean = 0.5 * (begin + off(&plan.trajectory.pose_at(later_s), later_s));
-        if mean.abs() > begin.abs() {
-            mean
-        } else {
-            begin
+        let of_model = leg.map(|leg| {
+            let [velocity, rate, acceleration] = leg.doppler;
+            [velocity + rate * (t_s - leg.start_s), acceleration]
+        });
+        let receive = off_velocities(plan, self.arm_m, of_model, (pose, t_s), until_s);
+        let off = std::array::from_fn(|k| {
+            receive[k].dot(ray.back) + self.transmit_off_m_per_s[k].dot(ray.out)
+        });
+        let [begin, middle, end]: [f64; 3] = off;
+        match plan.model.doppler {
+            // The second order of `stretch` is off as a whole, and counted with the range acceleration.
+            DopplerModel::StretchQuadratic if middle.abs() > end.abs() => middle,
+            DopplerModel::StretchQuadratic => end,
+            _ => begin,
         }
     }
 
@@ -1194,7 +1287,7 @@ impl ReceivingElement {
                 * self.one_way.amplitude(ray.back_range_m);
             let energy = weight * amplitude * amplitude * scatterers.strength[i].norm_sqr();
             let mut echo = self.motion(&ray);
-            [echo.values[OFF_PATH], echo.values[OFF_CHORD]] = off;
+            [echo.values[OFF_PATH], echo.values[OFF_VELOCITY]] = off;
             let first = &mut parts[begins as usize];
             first.echoes += weight;
             first.begun += energy;

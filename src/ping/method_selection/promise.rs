@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::method_selection::SEGMENTS_S;
 use crate::method_selection::echo_statistics::{
-    ACCELERATION, CHANGE, EchoPeaks, OFF_CHORD, OFF_PATH, TRACKED, echo_peaks, quantities,
+    EchoPeaks, OFF_PATH, OFF_VELOCITY, TRACKED, echo_peaks, quantities,
 };
 use crate::method_selection::edges::error_of_edges;
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
@@ -199,19 +199,17 @@ impl Promise {
         std::array::from_fn(|only| {
             let mut statistics = predicted;
             statistics.off_path_m = Some(0.0);
-            statistics.off_chord_m_per_s = Some(0.0);
+            statistics.off_velocity_m_per_s = Some(0.0);
             let mut unit = 0.0;
             for (q, value) in quantities(&mut statistics).into_iter().enumerate() {
-                // The velocity of a chord is off by the smaller of two bounds, of the acceleration and of its change.
-                match q {
-                    _ if q == only => unit = *value,
-                    CHANGE if only == ACCELERATION => {}
-                    _ => *value = 0.0,
+                match q == only {
+                    true => unit = *value,
+                    false => *value = 0.0,
                 }
             }
             let known = match only {
                 OFF_PATH => Some(&mut statistics.off_path_m),
-                OFF_CHORD => Some(&mut statistics.off_chord_m_per_s),
+                OFF_VELOCITY => Some(&mut statistics.off_velocity_m_per_s),
                 _ => None,
             };
             if let Some(known) = known {

@@ -19,7 +19,7 @@ use num_complex::Complex64;
 
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
-    ALONE, Energies, GROWTH, OFF_CHORD, OFF_PATH, Part, ReceivingElement, SAMPLED, SINGLE, TRACKED,
+    ALONE, Energies, GROWTH, OFF_VELOCITY, OFF_PATH, Part, ReceivingElement, SAMPLED, SINGLE, TRACKED,
     quantities,
 };
 use crate::method_selection::fades;
@@ -259,7 +259,7 @@ impl WindowStatistics {
             fading: worst.fading,
             tails: worst.tails,
             off_path_m: Some(worst.amounts[OFF_PATH]),
-            off_chord_m_per_s: Some(worst.amounts[OFF_CHORD]),
+            off_velocity_m_per_s: Some(worst.amounts[OFF_VELOCITY]),
             ..predicted
         };
         for (value, worst) in quantities(&mut statistics).into_iter().zip(worst.amounts) {
@@ -364,7 +364,7 @@ impl WindowStatistics {
         self.parts.resize(steps, Part::default());
         let transmit = &spec.transmit[array.transmit];
         let receiver =
-            ReceivingElement::new(spec, plan, transmit, (array, element), INSTANTS).alone(plan);
+            ReceivingElement::alone(spec, plan, transmit, (array, element), INSTANTS);
         receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
     }
 

@@ -101,7 +101,10 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
             throughout: echoes.range_acceleration_throughout_m_per_s2,
             third_m: cubic_m(echoes.range_jerk_m_per_s3),
             acceleration: echoes.acceleration_m_per_s2,
-            pulse_change: echoes.unsteady_m_per_s2,
+            pulse_change: match echoes.off_velocity_m_per_s {
+                Some(_) => 0.0,
+                None => echoes.unsteady_m_per_s2,
+            },
             // Of a chord and a pulse there are so many pulses, each with no more change than that.
             chord_change: (echoes.acceleration_change_m_per_s2 * (1.0 + conditions.segment_s / t))
                 .min(UNKNOWN_CHANGES[1] * echoes.acceleration_m_per_s2)
@@ -274,22 +277,23 @@ impl DopplerError {
         let block_s = t.min(LANES as f64 / dense_rate_hz(conditions));
         let of_block = cubic_per_s3 * block_s.powi(3);
         let cubic = TAU * of_runs.max(of_block);
-        let stale = match path {
-            PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
-            PathModel::Polyline => first_of(k, a * segment_s, t),
-            // Of the reception only. The velocity is linear along a chord of duration h, and off by A h/4 at most; the
-            // acceleration is its mean over the chord. Where it is not known: the smaller of this and an empirical bound, a
-            // twentieth of what the acceleration makes of the velocity on a chord; `tools/points_random.py` checks it.
-            PathModel::KSegment => {
-                match conditions.echo_statistics.and_then(|e| e.off_chord_m_per_s) {
-                    Some(speed) => 0.5 * first_of(k, speed, t),
-                    None => {
-                        let of_change = k * chord_change * t * (0.25 * segment_s + 0.5 * t);
-                        of_change.min(first_of(k, 0.05 * a * segment_s, t))
-                    }
-                }
+        let off_velocity = conditions
+            .echo_statistics
+            .and_then(|echoes| echoes.off_velocity_m_per_s);
+        let stale = match (off_velocity, path) {
+            // Of both legs together.
+            (Some(speed), _) => 0.5 * first_of(k, speed, t),
+            (None, PathModel::StopAndHop) => first_of(k, a * 2.0 * farthest_m / c, t),
+            (None, PathModel::Polyline) => first_of(k, a * segment_s, t),
+            // Of the reception only. The velocity is linear along a chord of duration h, and off by A h/4 at most. The acceleration is the mean of a
+            // pulse of T that begins at mid-chord, of which other pulses lack up to h/2: it is off by A h/(2 T) at most, or A. Or an empirical bound,
+            // if that is smaller: a twentieth of what the acceleration makes of the velocity on a chord; `tools/points_random.py` checks it.
+            (None, PathModel::KSegment) => {
+                let of_chord_s = 0.25 * segment_s;
+                let of_change = k * chord_change * t * (of_chord_s + of_chord_s.min(0.5 * t));
+                of_change.min(first_of(k, 0.05 * a * segment_s, t))
             }
-            PathModel::Continuous => 0.0,
+            (None, PathModel::Continuous) => 0.0,
         };
         // The derivatives of the time of emission have factors of (c + v)/(c - v) that those of the ranges lack; see `echo::stretch`.
         let emitted = 1.0 + 3.0 * conditions.speed_m_per_s / c;
@@ -516,7 +520,7 @@ mod tests {
                 fading: 1.0,
                 tails: 1.0,
                 off_path_m: Some(0.0),
-                off_chord_m_per_s: Some(0.0),
+                off_velocity_m_per_s: Some(0.0),
                 echoes: 1.0,
                 prominent: [1.0; PROMINENCES],
             });

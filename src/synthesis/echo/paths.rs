@@ -149,8 +149,10 @@ pub(crate) struct Leg {
     pub origin_m: DVec3,
     /// Velocity in the path equation; zero for stop-and-hop.
     pub velocity_m_per_s: DVec3,
-    /// Motion in the Doppler term: velocity at `start_s` and its rate of change.
+    /// Motion in the Doppler term: velocity at `start_s`, and mean acceleration over a pulse.
     pub doppler: Motion,
+    /// Rate of the velocity in the Doppler term along the leg, m/s^2.
+    doppler_rate: DVec3,
     array_from_world: DMat3,
     /// Rate of turn of the array axes, rad/s in these axes.
     turning_rad_per_s: DVec3,
@@ -167,17 +169,27 @@ impl Leg {
         self.origin_m + self.velocity_m_per_s * (time_s - self.start_s)
     }
 
+    /// Motion of the element for the Doppler term at `time_s`.
+    fn motion_at(&self, time_s: f64) -> Motion {
+        let moved = self.doppler_rate * (time_s - self.start_s);
+        Motion {
+            velocity_m_per_s: self.doppler.velocity_m_per_s + moved,
+            ..self.doppler
+        }
+    }
+
     /// Sets the velocities and accelerations for the Doppler at `times_s`, of those that are not before `from_s`.
     #[inline(always)]
     fn move_from(&self, from_s: f64, times_s: &[f64], moving: &mut [[f64; CHUNK]; 6]) {
-        let (v, a) = (
+        let (v, rate, a) = (
             self.doppler.velocity_m_per_s.to_array(),
+            self.doppler_rate.to_array(),
             self.doppler.acceleration_m_per_s2.to_array(),
         );
         let n = times_s.len().min(CHUNK);
         for axis in 0..3 {
             for i in 0..n {
-                let value = v[axis] + a[axis] * (times_s[i] - self.start_s);
+                let value = v[axis] + rate[axis] * (times_s[i] - self.start_s);
                 let is_here = times_s[i] >= from_s;
                 moving[axis][i] = if is_here { value } else { moving[axis][i] };
                 moving[3 + axis][i] = if is_here {
@@ -286,6 +298,7 @@ impl ElementTrack {
                 origin_m: transmit.relative_m(segment.position_m) + arm_m,
                 velocity_m_per_s: segment.velocity_m_per_s * moving,
                 doppler: doppler_motion(plan, segment_motion(plan, k, arm_m)),
+                doppler_rate: DVec3::ZERO,
                 array_from_world: array_from_world(segment.world_from_body, self.body_from_array),
                 turning_rad_per_s: DVec3::ZERO,
                 facing_s: 0.0,
@@ -297,7 +310,8 @@ impl ElementTrack {
 
     /// Legs from chords between the element's positions at the vertices of the segments. The array
     /// axes are those of each chord's middle and turn uniformly from there. The Doppler velocity is
-    /// linear between vertices.
+    /// linear between vertices; the acceleration is the mean over a pulse that begins at the middle of
+    /// the chord, which may be shorter than the pulse.
     fn compute_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
         let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
@@ -311,11 +325,13 @@ impl ElementTrack {
             if end_s.is_finite() {
                 step_s = end_s - start_s;
             }
-            let (middle, next) = (pose_at(start_s + 0.5 * step_s), pose_at(start_s + step_s));
+            let middle_s = start_s + 0.5 * step_s;
+            let (middle, next) = (pose_at(middle_s), pose_at(start_s + step_s));
             let origin_m = place_m(&here);
             let chord_m = place_m(&next) - origin_m;
             let speed = here.point_velocity_m_per_s(self.element_m);
             let later = next.point_velocity_m_per_s(self.element_m);
+            let over_pulse = trajectory_motion(plan, self.element_m, &middle, middle_s);
             // Twice the distance of the middle from the chord bounds the distance of any smooth
             // arc.
             let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
@@ -330,9 +346,13 @@ impl ElementTrack {
                     plan,
                     Motion {
                         velocity_m_per_s: speed,
-                        acceleration_m_per_s2: (later - speed) / step_s,
+                        ..over_pulse
                     },
                 ),
+                doppler_rate: match plan.model.doppler {
+                    DopplerModel::None => DVec3::ZERO,
+                    _ => (later - speed) / step_s,
+                },
                 array_from_world,
                 turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
                 facing_s: 0.5 * step_s,
@@ -382,11 +402,8 @@ impl ElementTrack {
         let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
         for leg in &self.legs {
             let end_s = leg.end_s.min(last_s).max(leg.start_s);
-            let Motion {
-                velocity_m_per_s: first,
-                acceleration_m_per_s2,
-            } = leg.doppler;
-            let last = first + acceleration_m_per_s2 * (end_s - leg.start_s);
+            let first = leg.doppler.velocity_m_per_s;
+            let last = leg.motion_at(end_s).velocity_m_per_s;
             let beside = match plan.model.path {
                 PathModel::Continuous => {
                     // Twice the distance of the middle from the chord bounds the distance of any
@@ -441,15 +458,7 @@ impl ElementTrack {
             let pose = plan.trajectory.pose_at(time_s);
             return doppler_motion(plan, trajectory_motion(plan, self.element_m, &pose, time_s));
         }
-        let (_, leg) = self.leg_at(time_s);
-        let Motion {
-            velocity_m_per_s: velocity,
-            acceleration_m_per_s2,
-        } = leg.doppler;
-        Motion {
-            velocity_m_per_s: velocity + acceleration_m_per_s2 * (time_s - leg.start_s),
-            acceleration_m_per_s2,
-        }
+        self.leg_at(time_s).1.motion_at(time_s)
     }
 }
 
@@ -610,10 +619,7 @@ fn solve_leg<const ALONE: bool>(
     let (x_m, y_m, z_m) = (&batch.x_m[..n], &batch.y_m[..n], &batch.z_m[..n]);
     let range_m = &batch.range_m[..n];
     let (o, v) = (leg.origin_m, leg.velocity_m_per_s);
-    let (w, dw) = (
-        leg.doppler.velocity_m_per_s,
-        leg.doppler.acceleration_m_per_s2,
-    );
+    let (w, dw) = (leg.doppler.velocity_m_per_s, leg.doppler_rate);
     let (m, turning) = (leg.array_from_world, leg.turning_rad_per_s);
     // The ray in array axes at `after_s` after the start of the leg.
     let in_array = |x: f64, y: f64, z: f64, after_s: f64| {
@@ -831,8 +837,9 @@ mod tests {
             velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
             doppler: Motion {
                 velocity_m_per_s: DVec3::new(5.0, -1.0, 0.3),
-                acceleration_m_per_s2: DVec3::new(0.1, 0.2, -0.5),
+                acceleration_m_per_s2: DVec3::new(0.2, 0.1, -0.4),
             },
+            doppler_rate: DVec3::new(0.1, 0.2, -0.5),
             array_from_world: DMat3::from_quat(turn),
             turning_rad_per_s: DVec3::new(0.1, -0.3, 0.2),
             facing_s: 0.02,
@@ -853,6 +860,7 @@ mod tests {
             Leg {
                 start_s,
                 doppler,
+                doppler_rate: leg.doppler_rate + more,
                 ..leg
             }
         });
@@ -866,10 +874,10 @@ mod tests {
             let leg = legs.iter().rev().find(|leg| leg.start_s <= time_s);
             let leg = leg.expect("the first begins at 0");
             let Motion {
-                velocity_m_per_s,
+                velocity_m_per_s: v,
                 acceleration_m_per_s2: a,
             } = leg.doppler;
-            let v = velocity_m_per_s + a * (time_s - leg.start_s);
+            let v = v + leg.doppler_rate * (time_s - leg.start_s);
             assert_eq!(moving.map(|m| m[i]), [v.x, v.y, v.z, a.x, a.y, a.z]);
         }
     }
