@@ -19,8 +19,8 @@ use num_complex::Complex64;
 
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
-    ALONE, Energies, GROWTH, OFF_VELOCITY, OFF_PATH, Part, ReceivingElement, SAMPLED, SINGLE, TRACKED,
-    quantities,
+    ALONE, Energies, GROWTH, OFF_PATH, OFF_VELOCITY, Part, ReceivingElement, SAMPLED, SINGLE,
+    TRACKED, quantities,
 };
 use crate::method_selection::fades;
 
@@ -363,8 +363,7 @@ impl WindowStatistics {
         self.parts.clear();
         self.parts.resize(steps, Part::default());
         let transmit = &spec.transmit[array.transmit];
-        let receiver =
-            ReceivingElement::alone(spec, plan, transmit, (array, element), INSTANTS);
+        let receiver = ReceivingElement::alone(spec, plan, transmit, (array, element), INSTANTS);
         receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
     }
 

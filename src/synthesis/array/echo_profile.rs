@@ -112,22 +112,20 @@ impl EchoProfile {
         self.signal.len() / self.density
     }
 
-    /// First sample within the profile of an echo, not below 0, with its index in the profile.
-    fn first(&self, middle: f64, before: usize) -> (usize, usize) {
+    /// First sample within the profile of an echo, not below 0, with its place in the profile.
+    fn first(&self, middle: f64, before: usize) -> (usize, f64) {
         let density = self.density as f64;
         // Index of sample 0.
         let zero = (self.middle + before) as f64 - middle * density;
         let sample = (-zero / density).ceil().max(0.0);
-        (
-            sample as usize,
-            (zero + sample * density).round().max(0.0) as usize,
-        )
+        (sample as usize, (zero + sample * density).max(0.0))
     }
 
     /// Adds echoes to the samples of an element.
     pub fn add(&self, echoes: &[KnownEcho], samples: &mut [Complex64]) {
         for echo in echoes {
-            let (sample, index) = self.first(echo.middle, 0);
+            let (sample, place) = self.first(echo.middle, 0);
+            let index = place.round() as usize;
             let values = self.signal.iter().skip(index).step_by(self.density);
             for (to, value) in samples.iter_mut().skip(sample).zip(values) {
                 *to += echo.amplitude * value;
@@ -179,16 +177,18 @@ impl EchoProfile {
         for echo in echoes {
             let energy = echo.amplitude.norm_sqr();
             let off = off_rad(echo).powi(2);
-            let (start, index) = self.first(echo.middle, before);
+            let (start, place) = self.first(echo.middle, before);
             let Windowed {
                 signal,
                 mean,
                 worst,
             } = &windowed;
-            let indices = (index..signal.len()).step_by(self.density);
+            let indices = (place as usize..signal.len()).step_by(self.density);
             for (to, j) in all.iter_mut().skip(start).zip(indices) {
-                let beside = off * signal[j];
-                let (mean, worst) = (mean[j] + beside, worst[j] + beside);
+                // At the onset of an echo errors grow much from one instant to the next, and the echo lies between two.
+                let either = |of: &[f64]| of[j].max(of.get(j + 1).copied().unwrap_or(0.0));
+                let beside = off * either(signal);
+                let (mean, worst) = (either(mean) + beside, either(worst) + beside);
                 to[0] += energy * mean;
                 to[1] = to[1].max(energy * worst);
                 to[2] = to[2].max(energy * mean);

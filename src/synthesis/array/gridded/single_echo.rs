@@ -30,7 +30,7 @@ const DEEPEST_DB: f64 = 60.0;
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
 /// Positions across a cell of the kernel, -1..1, of an echo's profile.
-const PROFILE_PLACES: [f64; 6] = [-1.0, -0.6, -0.2, 0.2, 0.6, 1.0];
+const PROFILE_PLACES: [f64; 11] = [-1.0, -0.8, -0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
 
 /// Tested positions across a cell of the Doppler grid.
 const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
