@@ -718,28 +718,27 @@ fn transmit_off_m_per_s(plan: &PingPlan, transmit: &TransmitArray) -> Velocities
         PathModel::KSegment | PathModel::Continuous => None,
     };
     let pose = plan.trajectory.pose_from(segment.position_m, 0.0);
-    off_velocities(plan, arm_m, of_model, (&pose, 0.0), plan.pulse.duration_s)
+    let pulse_s = plan.pulse.duration_s;
+    let of = (&plan.trajectory, segment.position_m);
+    off_velocities(of, (arm_m, of_model), (&pose, 0.0), (pulse_s, pulse_s))
 }
 
-/// The velocities that a model of a point's motion is off by in a pulse that begins at `t_s` with `pose`, and of which `until_s` count. `of_model`: velocity
-/// and acceleration; none: the exact velocity, with the mean acceleration of the pulse.
+/// The velocities that a model of the motion of a point on a lever arm is off by, in a pulse that begins at `t_s` with `pose`, and of which `until_s`
+/// count. Places are relative to `origin_m`. `of_model`: velocity and acceleration; none: the exact velocity, with the mean acceleration of the pulse.
 ///
 /// With b and e the velocities off at the beginning and at the end, T apart, and D the way off at the end, the cubic with all three is off by D/2 + (b - e) T/8
 /// in the middle.
 fn off_velocities(
-    plan: &PingPlan,
-    arm_m: DVec3,
-    of_model: Option<[DVec3; 2]>,
+    (trajectory, origin_m): (&Trajectory, DVec3),
+    (arm_m, of_model): (DVec3, Option<[DVec3; 2]>),
     (pose, t_s): (&Pose, f64),
-    until_s: f64,
+    (until_s, pulse_s): (f64, f64),
 ) -> Velocities {
-    let origin_m = plan.segments[0].position_m;
-    let pose_at = |later_s: f64| plan.trajectory.pose_from(origin_m, t_s + later_s);
+    let pose_at = |later_s: f64| trajectory.pose_from(origin_m, t_s + later_s);
     let velocity = |pose: &Pose| pose.point_velocity_m_per_s(arm_m);
     let later = pose_at(until_s);
     let begins = velocity(pose);
     let [of_model, acceleration] = of_model.unwrap_or_else(|| {
-        let pulse_s = plan.pulse.duration_s;
         let end = match until_s < pulse_s {
             true => velocity(&pose_at(pulse_s)),
             false => velocity(&later),
@@ -1121,7 +1120,12 @@ impl ReceivingElement {
             let [velocity, rate, acceleration] = leg.doppler;
             [velocity + rate * (t_s - leg.start_s), acceleration]
         });
-        let receive = off_velocities(plan, self.arm_m, of_model, (pose, t_s), until_s);
+        let receive = off_velocities(
+            (&plan.trajectory, plan.segments[0].position_m),
+            (self.arm_m, of_model),
+            (pose, t_s),
+            (until_s, self.pulse_s),
+        );
         let off = std::array::from_fn(|k| {
             receive[k].dot(ray.back) + self.transmit_off_m_per_s[k].dot(ray.out)
         });
@@ -1542,6 +1546,46 @@ mod tests {
             assert!(off_m <= bound_m * (1.0 + 1e-6), "{s}: {off_m} {bound_m}");
         }
         assert_eq!(at(t_s), 0.0);
+    }
+
+    /// A track of constant jerk with the mean acceleration of the pulse, whole and cut by the end of the record; and a model without acceleration, whose
+    /// velocity is off too.
+    #[test]
+    fn velocities_are_off_by_the_way_that_is_left() {
+        let [speed, acceleration, jerk] = [3.0, 0.5, 20.0];
+        let moved_m = |t: f64| speed * t + acceleration * t * t / 2.0 + jerk * t * t * t / 6.0;
+        let velocity = |t: f64| speed + acceleration * t + jerk * t * t / 2.0;
+        let mut track = Trajectory::uniform(DVec3::ZERO, DVec3::X, DQuat::IDENTITY);
+        track.position = [0.0, 0.1]
+            .map(|time_s| VectorKnot {
+                time_s,
+                value: DVec3::X * moved_m(time_s),
+                rate_per_s: DVec3::X * velocity(time_s),
+            })
+            .to_vec();
+        let (t_s, pulse_s) = (0.02, 0.01);
+        let pose = track.pose_at(t_s);
+        let off = |of_model, until_s: f64| {
+            let of = (DVec3::ZERO, of_model);
+            let upto_s = (until_s, pulse_s);
+            off_velocities((&track, DVec3::ZERO), of, (&pose, t_s), upto_s).map(|v| v.x)
+        };
+        // Of a cubic: x(s) = v s + a s^2/2 + j s^3/6, less the parabola with a + j T/2.
+        for until_s in [pulse_s, 0.5 * pulse_s] {
+            let upto = |s: f64| jerk * s * s / 6.0 - jerk * pulse_s * s / 4.0;
+            let want = [0.0, upto(0.5 * until_s), upto(until_s)];
+            let got = off(None, until_s);
+            println!("{until_s} s: {got:?} m/s");
+            for (got, want) in got.into_iter().zip(want) {
+                assert!((got - want).abs() < 1e-9, "{until_s}: {got:e} {want:e}");
+            }
+        }
+        let slow = [DVec3::X * (velocity(t_s) - 0.1), DVec3::ZERO];
+        let upto = |s: f64| (moved_m(t_s + s) - moved_m(t_s)) / s - slow[0].x;
+        let want = [0.1, upto(0.5 * pulse_s), upto(pulse_s)];
+        for (got, want) in off(Some(slow), pulse_s).into_iter().zip(want) {
+            assert!((got - want).abs() < 1e-9, "{got:e} {want:e}");
+        }
     }
 
     /// Whatever share of an echo its end is, the last sample has what its phase has grown to.

@@ -12,7 +12,7 @@ use crate::method_selection::echo_statistics::{
 };
 use crate::method_selection::edges::error_of_edges;
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
-use crate::method_selection::sample_fades::WindowStatistics;
+use crate::method_selection::sample_fades::{WindowStatistics, are_few};
 use crate::methods::{Candidate, EchoError, Family};
 use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
@@ -22,10 +22,6 @@ use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::error_models::{doppler_error, path_error};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics, PROMINENCES};
-
-/// Of so few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of more,
-/// the peaks of their motion tell how much greater the statistics are than those of the selection.
-const ALL: usize = 1000;
 
 /// Up to so many, the onset is looked at after the ping: the chance by which windows of many echoes fade says too little of the first few.
 const ONSETS: usize = 3000;
@@ -123,7 +119,10 @@ impl Promise {
             true => self.culling,
             false => plan.range_floors.left_out,
         };
-        let conditions = match scatterers.len() <= ALL {
+        // Of few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of
+        // more, the peaks of their motion tell how much greater the statistics are than those of the selection.
+        let few = are_few(spec, scatterers);
+        let conditions = match few {
             _ if is_reference => self.conditions,
             true => conditions(spec, plan, scatterers),
             false => echo_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
@@ -136,7 +135,7 @@ impl Promise {
                 pulse: plan.pulse,
                 ..conditions
             },
-            is_heard: !is_reference && scatterers.len() <= ALL,
+            is_heard: !is_reference && few,
             jointly: 1.0,
             edges: 0.0,
             bent,

@@ -362,6 +362,41 @@ fn k_segment_delays_converge_to_the_second_order_even_on_an_arm() {
     assert!(uneven < 1e-8, "a jump of {uneven:e} s");
 }
 
+/// Emission times at the end of pulses that are longer than a chord. With the acceleration of the chord alone they were off
+/// about three times as far as those of the exact trajectory.
+#[test]
+fn chords_shorter_than_the_pulse_have_its_mean_acceleration() {
+    let (tx_m, rx_m) = (DVec3::new(1.5, 0.2, 0.8), DVec3::new(-3.0, 0.4, 0.2));
+    let truth = restless().trajectory;
+    let pulse_s = 0.04;
+    let worst_s = |path: PathModel| {
+        let mut plan = restless();
+        plan.model.path = path;
+        plan.model.doppler = DopplerModel::StretchQuadratic;
+        plan.pulse.duration_s = pulse_s;
+        chords(&mut plan, 0.256, 64);
+        (0..50)
+            .map(|k| {
+                let at_m = DVec3::new(-20.0, 20.0 + 2.7 * k as f64, 35.0);
+                let got = one(&plan, tx_m, rx_m, at_m);
+                let t = got.delay_s + pulse_s;
+                let second_m = at_m.distance(truth.pose_at(t).point_m(rx_m));
+                let emitted_s = bisect(0.0, 2.0 * pulse_s, |e| {
+                    at_m.distance(truth.pose_at(e).point_m(tx_m)) + second_m - C * (t - e)
+                });
+                let want_s = (1.0 + got.doppler + got.curvature_per_s * pulse_s) * pulse_s;
+                (emitted_s - want_s).abs()
+            })
+            .fold(0.0, f64::max)
+    };
+    let [chords_s, exact_s] = [PathModel::KSegment, PathModel::Continuous].map(worst_s);
+    println!("{chords_s:.2e} s with chords, {exact_s:.2e} s");
+    assert!(
+        exact_s > 1e-10 && chords_s < 1.5 * exact_s,
+        "{chords_s:e} {exact_s:e}"
+    );
+}
+
 /// Compares the stretch eta - 1 of every model with the derivative of the true transmission time on a turning and moving platform.
 #[test]
 fn doppler_on_an_arm_holds_what_turning_adds() {
