@@ -113,13 +113,18 @@ impl Growth {
 /// Instants of a pulse at which its energy is tabled.
 const STEPS: usize = 128;
 
-/// The energy of a pulse up to an instant, of a mean of 1: by itself, times each [`Growth`], and times its square. Flanks have little.
+/// Energies of a pulse: by itself, times each [`Growth`], times its square, and of its first and last quarter.
+type Sums = [f64; 2 * GROWTHS + 2];
+const ALONE_SUM: usize = 0;
+const GROWN: usize = 1;
+const SQUARED: usize = 1 + GROWTHS;
+const END_QUARTERS: usize = 1 + 2 * GROWTHS;
+
+/// The energies of a pulse up to an instant, of a mean of 1. Flanks have little.
 pub(super) struct Energies {
     /// Mean square of the pulse.
     pub mean: f64,
-    alone: [f64; STEPS + 1],
-    grown: [[f64; STEPS + 1]; GROWTHS],
-    squared: [[f64; STEPS + 1]; GROWTHS],
+    upto: [Sums; STEPS + 1],
     /// Of a window that holds no more than the end of an echo, the worst error over the rms of the last part of the echo.
     pub last: [f64; GROWTHS],
     /// That rms.
@@ -134,21 +139,26 @@ impl Energies {
             pulse.envelope(t * pulse.duration_s).norm_sqr()
         });
         let mean = levels.iter().sum::<f64>() * step;
-        let upto = |of: &dyn Fn(f64) -> f64| {
-            let mut all = [0.0; STEPS + 1];
-            for (i, level) in levels.iter().enumerate() {
-                all[i + 1] = all[i] + step * level / mean * of((i as f64 + 0.5) * step);
+        let mut upto = [Sums::default(); STEPS + 1];
+        for (i, level) in levels.iter().enumerate() {
+            let t = (i as f64 + 0.5) * step;
+            let energy = step * level / mean;
+            let mut sums = upto[i];
+            sums[ALONE_SUM] += energy;
+            for (g, growth) in Growth::ALL.into_iter().enumerate() {
+                sums[GROWN + g] += energy * growth.at(t);
+                sums[SQUARED + g] += energy * growth.at(t).powi(2);
             }
-            all
-        };
-        let alone = upto(&|_| 1.0);
-        let grown = Growth::ALL.map(|growth| upto(&|t| growth.at(t)));
-        let squared = Growth::ALL.map(|growth| upto(&|t| growth.at(t).powi(2)));
+            if !(0.25..0.75).contains(&t) {
+                sums[END_QUARTERS] += energy;
+            }
+            upto[i + 1] = sums;
+        }
         let floor = noise_share();
         let part = STEPS - STEPS / PARTS;
         let from = |g: usize, i: usize| {
-            let energy = alone[STEPS] - alone[i];
-            let error: f64 = squared[g][STEPS] - squared[g][i];
+            let energy = upto[STEPS][ALONE_SUM] - upto[i][ALONE_SUM];
+            let error = upto[STEPS][SQUARED + g] - upto[i][SQUARED + g];
             (error / energy.max(floor)).sqrt()
         };
         let last_part = std::array::from_fn(|g| from(g, part).max(f64::MIN_POSITIVE));
@@ -158,9 +168,7 @@ impl Energies {
         });
         Self {
             mean,
-            alone,
-            grown,
-            squared,
+            upto,
             last,
             last_part,
         }
@@ -187,27 +195,26 @@ impl Energies {
         self
     }
 
+    /// The sums up to a share of the pulse.
+    fn upto(&self, share: f64) -> Sums {
+        let at = share * STEPS as f64;
+        let below = (at as usize).min(STEPS - 1);
+        let (before, after) = (&self.upto[below], &self.upto[below + 1]);
+        std::array::from_fn(|k| before[k] + (at - below as f64) * (after[k] - before[k]))
+    }
+
     /// As `last`, over the rms of what has this share of an echo's energy at its end.
     pub(super) fn last_over(&self, growth: Growth, share: f64) -> f64 {
         let g = growth as usize;
-        let left = self.alone[STEPS] * (1.0 - share);
-        let begin = self.alone.partition_point(|energy| *energy < left);
+        let all = &self.upto[STEPS];
+        let left = all[ALONE_SUM] * (1.0 - share);
+        let begin = self.upto.partition_point(|sums| sums[ALONE_SUM] < left);
         let part = STEPS - STEPS / PARTS;
-        let begin = begin.min(part);
-        let energy = self.alone[STEPS] - self.alone[begin];
-        let rms = ((self.squared[g][STEPS] - self.squared[g][begin]) / energy).sqrt();
+        let begin = &self.upto[begin.min(part)];
+        let energy = all[ALONE_SUM] - begin[ALONE_SUM];
+        let rms = ((all[SQUARED + g] - begin[SQUARED + g]) / energy).sqrt();
         self.last[g] * self.last_part[g] / rms.max(f64::MIN_POSITIVE)
     }
-}
-
-/// Differences of a table between two shares of the pulse.
-fn between(table: &[f64; STEPS + 1], (from, to): (f64, f64)) -> f64 {
-    let at = |t: f64| {
-        let i = t * STEPS as f64;
-        let below = (i as usize).min(STEPS - 1);
-        table[below] + (i - below as f64) * (table[below + 1] - table[below])
-    };
-    at(to) - at(from)
 }
 
 /// A window with fewer echoes than this, by their energies, is one echo or the end of one; with fewer than the second, mostly.
@@ -266,33 +273,18 @@ impl Part {
         self
     }
 
-    /// Of an echo what sounds here, `from` and `to` in pulses.
-    fn add(
-        &mut self,
-        energies: &Energies,
-        energy: f64,
-        whole: f64,
-        span: (f64, f64),
-        echo: &EchoMotion,
-    ) {
-        let part = between(&energies.alone, span);
-        let share = energy * part;
+    /// Of an echo what sounds here, between two shares of the pulse with these sums.
+    fn add(&mut self, (from, to): (&Sums, &Sums), (energy, whole): (f64, f64), echo: &EchoMotion) {
+        let heard: Sums = std::array::from_fn(|k| to[k] - from[k]);
+        let share = energy * heard[ALONE_SUM];
         self.energy += share;
         self.loudest = self.loudest.max(whole);
-        self.loudest_here = self.loudest_here.max(whole * part);
-        let middle = (span.0.clamp(0.25, 0.75), span.1.clamp(0.25, 0.75));
-        self.ends += share - energy * between(&energies.alone, middle);
-        let mut all = [(0.0, 0.0); GROWTHS];
-        for (g, all) in all.iter_mut().enumerate() {
-            *all = (
-                between(&energies.grown[g], span),
-                between(&energies.squared[g], span),
-            );
-        }
+        self.loudest_here = self.loudest_here.max(whole * heard[ALONE_SUM]);
+        self.ends += energy * heard[END_QUARTERS];
         for (q, value) in echo.values.into_iter().enumerate() {
-            let (grown, squared) = all[GROWTH[q] as usize];
-            self.sums[q] += value * energy * grown;
-            self.squares[q] += value * value * energy * squared;
+            let g = GROWTH[q] as usize;
+            self.sums[q] += value * energy * heard[GROWN + g];
+            self.squares[q] += value * value * energy * heard[SQUARED + g];
         }
         self.across2 += share * echo.across_m_per_s.powi(2);
         self.closing2 += share * echo.values[1].powi(2);
@@ -1296,13 +1288,14 @@ impl ReceivingElement {
             first.echoes += weight;
             first.begun += energy;
             first.begun2 += energy * energy;
-            let mut from = 0.0;
+            let mut from = energies.upto[0];
             for (k, part) in parts.iter_mut().enumerate().skip(begins as usize) {
-                if from >= 1.0 {
+                let share = (((k + 1) as f64 - begins) / length).min(1.0);
+                let to = energies.upto(share);
+                part.add((&from, &to), (energy, energy / weight), &echo);
+                if share == 1.0 {
                     break;
                 }
-                let to = (((k + 1) as f64 - begins) / length).min(1.0);
-                part.add(energies, energy, energy / weight, (from, to), &echo);
                 from = to;
             }
         }
@@ -1644,7 +1637,7 @@ mod tests {
             })
         };
         let cubic = Growth::Cubic as usize;
-        let whole = |energies: &Energies| between(&energies.squared[cubic], (0.0, 1.0));
+        let whole = |energies: &Energies| energies.upto[STEPS][SQUARED + cubic];
         let sharp = of(0.0);
         assert!(
             (7.0 * whole(&sharp) - 1.0).abs() < 1e-3,
