@@ -18,6 +18,7 @@ use echotank_core::ping::{PingPlan, Segment};
 use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::displaced_echo_errors;
+use echotank_synthesis::echo::Chord;
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics, OVERLAPPING, PROMINENCES};
 
@@ -864,10 +865,10 @@ impl ReceivingElement {
         Self::with_tables(spec, plan, transmit, of, (instants, true))
     }
 
-    /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`].
+    /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`]. `chords`: of `k-segment`.
     pub(super) fn alone(
         spec: &SonarSpec,
-        plan: &PingPlan,
+        (plan, chords): (&PingPlan, &[Chord]),
         transmit: &TransmitArray,
         of: (&ArrayGeometry, usize),
         instants: usize,
@@ -875,7 +876,7 @@ impl ReceivingElement {
         let receiver = Self::with_tables(spec, plan, transmit, of, (instants, false));
         Self {
             line_m: 0.0,
-            legs: Some(receiver.legs(plan)),
+            legs: Some(receiver.legs(plan, chords)),
             transmit_off_m_per_s: transmit_off_m_per_s(plan, transmit),
             ..receiver
         }
@@ -1011,10 +1012,9 @@ impl ReceivingElement {
     }
 
     /// The legs of the plan's path model, as `echo::paths` has them; none of the exact trajectory.
-    fn legs(&self, plan: &PingPlan) -> Vec<PathLeg> {
+    fn legs(&self, plan: &PingPlan, chords: &[Chord]) -> Vec<PathLeg> {
         let segments = plan.segments.as_slice();
         let origin_m = segments[0].position_m;
-        let pose_at = |t_s: f64| plan.trajectory.pose_from(origin_m, t_s);
         let axes = |world_from_body: DQuat| {
             DMat3::from_quat((world_from_body * self.body_from_array).inverse())
         };
@@ -1031,36 +1031,29 @@ impl ReceivingElement {
                 DVec3::ZERO,
             ],
         };
-        let step_s = segments
-            .get(1)
-            .map_or(plan.model.segment_s, |next| next.start_s);
-        let chord = |segment: &Segment| {
-            let start_s = segment.start_s;
-            let middle = pose_at(start_s + 0.5 * step_s);
-            let (begin, end) = (pose_at(start_s), pose_at(start_s + step_s));
-            let (at_m, end_m) = (begin.point_m(self.arm_m), end.point_m(self.arm_m));
-            let velocity = begin.point_velocity_m_per_s(self.arm_m);
-            let later = end.point_velocity_m_per_s(self.arm_m);
-            let array_from_world = axes(middle.world_from_body);
-            let middle_s = start_s + 0.5 * step_s;
-            let over_pulse = pose_at(middle_s + self.pulse_s);
-            let gained = over_pulse.point_velocity_m_per_s(self.arm_m)
-                - middle.point_velocity_m_per_s(self.arm_m);
+        let of_chord = |chord: &Chord| {
+            let place_m = |pose: &Pose| pose.point_m(self.arm_m);
+            let velocity = |pose: &Pose| pose.point_velocity_m_per_s(self.arm_m);
+            let at_m = place_m(&chord.begin);
+            let begins = velocity(&chord.begin);
+            let rate = (velocity(&chord.end) - begins) / chord.step_s;
+            let gained = velocity(&chord.later) - velocity(&chord.middle);
+            let array_from_world = axes(chord.middle.world_from_body);
             PathLeg {
-                start_s,
+                start_s: chord.start_s,
                 at_m,
-                velocity_m_per_s: (end_m - at_m) / step_s,
+                velocity_m_per_s: (place_m(&chord.end) - at_m) / chord.step_s,
                 array_from_world,
-                turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
-                facing_s: middle_s,
-                doppler: [velocity, (later - velocity) / step_s, gained / self.pulse_s],
+                turning_rad_per_s: array_from_world * chord.middle.angular_velocity_rad_per_s,
+                facing_s: chord.start_s + 0.5 * chord.step_s,
+                doppler: [begins, rate, gained / self.pulse_s],
             }
         };
         match plan.model.path {
             PathModel::Continuous => Vec::new(),
             PathModel::StopAndHop => vec![of_segment(&segments[0], 0.0)],
             PathModel::Polyline => segments.iter().map(|s| of_segment(s, 1.0)).collect(),
-            PathModel::KSegment => segments.iter().map(chord).collect(),
+            PathModel::KSegment => chords.iter().map(of_chord).collect(),
         }
     }
 

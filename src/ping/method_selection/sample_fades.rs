@@ -9,9 +9,11 @@
 
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, ReceiverFilter};
+use echotank_core::model::PathModel;
 use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
+use echotank_synthesis::echo::Chord;
 use echotank_synthesis::echo::levels::amplitude_from_db;
 use echotank_synthesis::error_model::{EchoStatistics, OVERLAPPING};
 use glam::DVec3;
@@ -108,6 +110,8 @@ pub(super) struct WindowStatistics {
     /// Of all windows.
     amounts: Vec<[f64; TRACKED]>,
     onset: Onset,
+    /// Of the platform's track, with `k-segment`.
+    chords: Vec<Chord>,
 }
 
 /// The scatterers heard first. Buffers.
@@ -219,6 +223,10 @@ impl WindowStatistics {
             ..Worst::default()
         };
         self.amounts.clear();
+        self.chords.clear();
+        if plan.model.path == PathModel::KSegment {
+            Chord::all(plan, &mut self.chords);
+        }
         for (array, frame) in spec.receive.iter().zip(frames) {
             if frame.samples == 0 {
                 continue;
@@ -370,7 +378,13 @@ impl WindowStatistics {
         self.parts.clear();
         self.parts.resize(steps, Part::default());
         let transmit = &spec.transmit[array.transmit];
-        let receiver = ReceivingElement::alone(spec, plan, transmit, (array, element), INSTANTS);
+        let receiver = ReceivingElement::alone(
+            spec,
+            (plan, &self.chords),
+            transmit,
+            (array, element),
+            INSTANTS,
+        );
         receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
     }
 

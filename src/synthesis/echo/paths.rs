@@ -95,6 +95,65 @@ impl Transmit {
     }
 }
 
+/// Poses of the platform on one chord, the same for all elements: at both ends and in the middle, and a pulse after the middle.
+#[derive(Clone, Copy, Debug)]
+pub struct Chord {
+    /// Seconds from the start of the pulse.
+    pub start_s: f64,
+    /// Infinite for the last chord, which has the length of the one before it.
+    end_s: f64,
+    /// Length, seconds.
+    pub step_s: f64,
+    /// Positions are relative to that of the first segment.
+    pub begin: Pose,
+    /// Half the length later.
+    pub middle: Pose,
+    /// The whole length later.
+    pub end: Pose,
+    /// A pulse after the middle with [`DopplerModel::StretchQuadratic`] alone; else that of the middle.
+    pub later: Pose,
+}
+
+impl Chord {
+    /// Replaces `chords` by those of the plan's path model; none if it has no chords.
+    pub fn all(plan: &PingPlan, chords: &mut Vec<Self>) {
+        chords.clear();
+        if matches!(plan.model.path, PathModel::StopAndHop | PathModel::Polyline) {
+            return;
+        }
+        let segments = &plan.segments;
+        let origin_m = segments[0].position_m;
+        let pose_at = |time_s: f64| plan.trajectory.pose_from(origin_m, time_s);
+        let mut begin = pose_at(segments[0].start_s);
+        let mut step_s = plan.model.segment_s;
+        for (k, segment) in segments.iter().enumerate() {
+            let start_s = segment.start_s;
+            let end_s = segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s);
+            if end_s.is_finite() {
+                step_s = end_s - start_s;
+            }
+            let middle_s = start_s + 0.5 * step_s;
+            let (middle, end) = (pose_at(middle_s), pose_at(start_s + step_s));
+            let later = match (plan.model.path, plan.model.doppler) {
+                (PathModel::KSegment, DopplerModel::StretchQuadratic) => {
+                    pose_at(middle_s + plan.pulse.duration_s)
+                }
+                _ => middle,
+            };
+            chords.push(Self {
+                start_s,
+                end_s,
+                step_s,
+                begin,
+                middle,
+                end,
+                later,
+            });
+            begin = end;
+        }
+    }
+}
+
 fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
     DMat3::from_quat((world_from_body * body_from_array).inverse())
 }
@@ -231,22 +290,22 @@ impl ElementTrack {
         }
     }
 
-    /// Computes the legs of `element` under the plan's path and Doppler models.
+    /// Computes the legs of `element` under the plan's path and Doppler models. `chords`: of the plan.
     pub(crate) fn compute(
         &mut self,
         plan: &PingPlan,
-        transmit: &Transmit,
+        sent: (&Transmit, &[Chord]),
         array: &ArrayGeometry,
         element: usize,
     ) {
-        self.compute_at(plan, transmit, array, array.element_x_m(element));
+        self.compute_at(plan, sent, array, array.element_x_m(element));
     }
 
     /// As [`Self::compute`], for a point `along_m` from the centre of the array.
     pub(crate) fn compute_at(
         &mut self,
         plan: &PingPlan,
-        transmit: &Transmit,
+        (transmit, chords): (&Transmit, &[Chord]),
         array: &ArrayGeometry,
         along_m: f64,
     ) {
@@ -257,7 +316,9 @@ impl ElementTrack {
         self.legs.clear();
         match plan.model.path {
             PathModel::StopAndHop | PathModel::Polyline => self.compute_segments(plan, transmit),
-            PathModel::KSegment | PathModel::Continuous => self.compute_chords(plan, transmit),
+            PathModel::KSegment | PathModel::Continuous => {
+                self.compute_chords(plan, transmit, chords);
+            }
         }
         self.seamless = plan.model.path != PathModel::Polyline;
         self.end_s = match (plan.model.path, self.legs.last()) {
@@ -312,54 +373,50 @@ impl ElementTrack {
     /// axes are those of each chord's middle and turn uniformly from there. The Doppler velocity is
     /// linear between vertices; the acceleration is the mean over a pulse that begins at the middle of
     /// the chord, which may be shorter than the pulse.
-    fn compute_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
-        let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
+    fn compute_chords(&mut self, plan: &PingPlan, transmit: &Transmit, chords: &[Chord]) {
         let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
-        let segments = &plan.segments;
-        let mut here = pose_at(segments[0].start_s);
-        let mut step_s = plan.model.segment_s;
-        for (k, segment) in segments.iter().enumerate() {
-            let start_s = segment.start_s;
-            let end_s = segments.get(k + 1).map_or(f64::INFINITY, |s| s.start_s);
-            // The last chord has the length of the one before it.
-            if end_s.is_finite() {
-                step_s = end_s - start_s;
-            }
-            let middle_s = start_s + 0.5 * step_s;
-            let (middle, next) = (pose_at(middle_s), pose_at(start_s + step_s));
-            let origin_m = place_m(&here);
-            let chord_m = place_m(&next) - origin_m;
-            let speed = here.point_velocity_m_per_s(self.element_m);
-            let later = next.point_velocity_m_per_s(self.element_m);
-            let over_pulse = trajectory_motion(plan, self.element_m, &middle, middle_s);
-            // Twice the distance of the middle from the chord bounds the distance of any smooth
-            // arc.
-            let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
-            let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
-            self.sag_m = self.sag_m.max(2.0 * off_m);
-            self.legs.push(Leg {
+        let velocity = |pose: &Pose| pose.point_velocity_m_per_s(self.element_m);
+        for chord in chords {
+            let Chord {
                 start_s,
                 end_s,
+                step_s,
+                begin,
+                middle,
+                end,
+                later,
+            } = chord;
+            let origin_m = place_m(begin);
+            let chord_m = place_m(end) - origin_m;
+            let speed = velocity(begin);
+            // Twice the distance of the middle from the chord bounds the distance of any smooth
+            // arc.
+            let off_m = (place_m(middle) - origin_m - 0.5 * chord_m).length();
+            let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
+            self.sag_m = self.sag_m.max(2.0 * off_m);
+            let gained = velocity(later) - velocity(middle);
+            self.legs.push(Leg {
+                start_s: *start_s,
+                end_s: *end_s,
                 origin_m,
-                velocity_m_per_s: chord_m / step_s,
+                velocity_m_per_s: chord_m / *step_s,
                 doppler: doppler_motion(
                     plan,
                     Motion {
                         velocity_m_per_s: speed,
-                        ..over_pulse
+                        acceleration_m_per_s2: gained / plan.pulse.duration_s,
                     },
                 ),
                 doppler_rate: match plan.model.doppler {
                     DopplerModel::None => DVec3::ZERO,
-                    _ => (later - speed) / step_s,
+                    _ => (velocity(end) - speed) / *step_s,
                 },
                 array_from_world,
                 turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
-                facing_s: 0.5 * step_s,
+                facing_s: 0.5 * *step_s,
                 passed_m: f64::INFINITY,
                 begun_m: 0.0,
             });
-            here = next;
         }
     }
 

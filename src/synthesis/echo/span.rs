@@ -29,7 +29,7 @@ pub fn doppler_span(
     let (mut arm_m, mut speed, mut change) = (0.0f64, transmit_m_per_s.length(), 0.0f64);
     for element in [0, array.elements - 1] {
         let track = &mut work.track;
-        track.compute(plan, &transmit_leg.transmit, array, element);
+        track.compute(plan, transmit_leg.sent(), array, element);
         arm_m = arm_m.max(track.reach_m(0.0));
         track.bound_velocities(plan, |velocity_m_per_s, beside| {
             speed = speed.max(velocity_m_per_s.length() + beside);

@@ -32,7 +32,7 @@ use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
 use echotank_core::simd::widest;
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
-use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
+use super::paths::{Batch, Chord, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
 mod insonifier;
@@ -70,6 +70,7 @@ impl Window {
 pub struct TransmitLeg {
     window: Option<Window>,
     pub(super) transmit: Transmit,
+    chords: Vec<Chord>,
     /// Position relative to the transmit position, metres.
     x_m: Vec<f64>,
     y_m: Vec<f64>,
@@ -119,6 +120,11 @@ impl TransmitLeg {
     /// Whether no scatterer is insonified.
     pub fn is_empty(&self) -> bool {
         self.range_m.is_empty()
+    }
+
+    /// The transmitter, and the chords of the platform's track.
+    pub(super) fn sent(&self) -> (&Transmit, &[Chord]) {
+        (&self.transmit, &self.chords)
     }
 
     /// The scatterers of one batch of [`CHUNK`], with their indices.
@@ -279,6 +285,7 @@ pub fn insonify(
 
     transmit_leg.window = Some(window);
     transmit_leg.transmit = transmit;
+    Chord::all(plan, &mut transmit_leg.chords);
     transmit_leg.curve.clone_from(&scatterers.curve);
     let insonifier = Insonifier {
         leg: TransmitLegTerms {
@@ -536,7 +543,7 @@ pub fn arrivals_of_slab(
         chunk,
     } = work;
     let part = SubarrayElements::of(plan, array);
-    track.compute(plan, &transmit_leg.transmit, array, element);
+    track.compute(plan, transmit_leg.sent(), array, element);
     // u >= (2 r_T - reach)/c, so batches entirely after the window are skipped. Eq. 21 can shorten
     // a delay by at most the factor 3 v/c, with v below 0.1 c.
     let forward = match plan.model.doppler {

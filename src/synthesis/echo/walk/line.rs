@@ -223,7 +223,7 @@ impl LineSource for LineEchoes<'_> {
             let track = &mut work.track;
             track
                 .middle
-                .compute_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
+                .compute_at(self.plan, self.transmit_leg.sent(), self.array, 0.0);
             let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
             // The motion after the delay from the transmitter's own position has no effect.
             let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
@@ -440,10 +440,10 @@ fn compute_track(
     let (middle_m, ahead_m) = (section.middle_m, section.middle_m + 1.0);
     track
         .middle
-        .compute_at(plan, &transmit_leg.transmit, array, middle_m);
+        .compute_at(plan, transmit_leg.sent(), array, middle_m);
     track
         .ahead
-        .compute_at(plan, &transmit_leg.transmit, array, ahead_m);
+        .compute_at(plan, transmit_leg.sent(), array, ahead_m);
     let reach_m = track.middle.reach_m(section.latest_s) * (1.0 + 1e-9);
     (
         0.5 * (c * section.earliest_s - reach_m) * (1.0 - 1e-12),

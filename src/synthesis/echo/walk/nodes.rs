@@ -118,7 +118,7 @@ impl NodeTracks {
             self.tracks.resize_with(nodes, ElementTrack::default);
         }
         for (track, &along_m) in self.tracks.iter_mut().zip(along_m) {
-            track.compute_at(plan, &transmit_leg.transmit, array, along_m);
+            track.compute_at(plan, transmit_leg.sent(), array, along_m);
         }
         let shares = |of: usize, k: usize, x: f64| -> f64 {
             let at = |k| along_m[gain_node(k, of, nodes)];
