@@ -272,6 +272,14 @@ mod tests {
         // A weaker one counts against the floor of the stronger one.
         let weak = error_of(&[echo(30.0, 0.1), echo(60.0, 1.0)]);
         assert!((weak / one - 1.0).abs() < 1e-9, "{weak}");
+        // One between two instants of the profile has the larger error of both: 30.5 has a sample of error more before it.
+        let [before, between, after] =
+            [30.0, 30.2, 30.5].map(|middle| error_of(&[echo(middle, 1.0)]));
+        println!("{before} {between} {after}");
+        assert!(
+            between >= before.max(after) && before != after,
+            "{before} {between} {after}"
+        );
         // Under others there is no window without a level.
         let covered: Vec<KnownEcho> = (0..17)
             .map(|k| echo(2.0 + 6.0 * f64::from(k), 1.0))
