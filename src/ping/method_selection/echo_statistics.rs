@@ -14,12 +14,13 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::frames::{Pose, Trajectory, VectorKnot};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
-use echotank_core::ping::{PingPlan, Segment};
+use echotank_core::ping::PingPlan;
 use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::displaced_echo_errors;
-use echotank_synthesis::echo::Chord;
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
+use echotank_synthesis::echo::paths::Motion;
+use echotank_synthesis::echo::{Chord, segment_motion};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics, OVERLAPPING, PROMINENCES};
 
 /// Approximate number of seabed scatterers in the sample. In each of a hundred windows they give root mean squares within a tenth. Fewer
@@ -609,8 +610,9 @@ struct PathLeg {
     turning_rad_per_s: DVec3,
     /// When the axes are exact.
     facing_s: f64,
-    /// For the Doppler term: the velocity at the start, its rate along the leg, and the acceleration in a pulse.
-    doppler: [DVec3; 3],
+    /// Motion in the Doppler term, and the rate of its velocity along the leg, m/s^2, as `echo::paths` has them.
+    doppler: Motion,
+    doppler_rate: DVec3,
 }
 
 /// Velocities of a point: at the beginning of a pulse, and in the mean up to its middle and up to its end.
@@ -664,15 +666,12 @@ fn unsteady_m_per_s2(
     arm_m: DVec3,
     (t_s, heard_s): (f64, f64),
 ) -> DVec3 {
-    let begin = trajectory.pose_at(t_s);
-    let begin_m = begin.point_m(arm_m) - begin.position_m;
-    let velocity = begin.point_velocity_m_per_s(arm_m);
-    let end = trajectory.pose_at(t_s + pulse_s);
-    let mean = (end.point_velocity_m_per_s(arm_m) - velocity) / pulse_s;
+    let origin_m = trajectory.pose_at(t_s).position_m;
+    let begin = trajectory.pose_from(origin_m, t_s);
     let off = |until_s: f64| {
-        let at = trajectory.pose_from(begin.position_m, t_s + until_s);
-        let moved_m = at.point_m(arm_m) - begin_m;
-        let off_m = moved_m - (velocity + mean * (0.5 * until_s)) * until_s;
+        let track = (trajectory, origin_m);
+        let [.., mean] = off_velocities(track, (arm_m, None), (&begin, t_s), (until_s, pulse_s));
+        let off_m = mean * until_s;
         match off_m.length() < STILL_M {
             true => DVec3::ZERO,
             false => off_m * (8.0 / (pulse_s * pulse_s * Growth::Unsteady.at(until_s / pulse_s))),
@@ -693,20 +692,14 @@ fn unsteady_m_per_s2(
     }
 }
 
-/// The velocity of a point on a lever arm that a segment has for the Doppler, as `echo::paths` has it.
-fn segment_m_per_s(plan: &PingPlan, segment: &Segment, arm_m: DVec3) -> DVec3 {
-    let turning = plan.trajectory.pose_at(segment.start_s);
-    let turning = turning.angular_velocity_rad_per_s;
-    segment.velocity_m_per_s + turning.cross(segment.world_from_body * arm_m)
-}
-
 /// The velocities of the transmitter that the path model is off by in the pulse.
 fn transmit_off_m_per_s(plan: &PingPlan, transmit: &TransmitArray) -> Velocities {
     let segment = &plan.segments[0];
     let arm_m = transmit.mounting.position_m;
     let of_model = match plan.model.path {
         PathModel::StopAndHop | PathModel::Polyline => {
-            Some([segment_m_per_s(plan, segment, arm_m), DVec3::ZERO])
+            let motion = segment_motion(plan, 0, segment.world_from_body * arm_m);
+            Some([motion.velocity_m_per_s, motion.acceleration_m_per_s2])
         }
         PathModel::KSegment | PathModel::Continuous => None,
     };
@@ -929,9 +922,10 @@ impl ReceivingElement {
             let from = k.min(last.saturating_sub(1));
             largest(&accelerations[from..=(k + pulse_steps).min(last)])
         };
-        let of_transmitter: Vec<DVec3> = (0..=pulse_steps)
-            .map(|k| acceleration(k as f64 * step_s, place))
-            .collect();
+        let transmit_change = || {
+            let steps = (0..=pulse_steps).map(|k| acceleration(k as f64 * step_s, place));
+            largest(&steps.collect::<Vec<DVec3>>())
+        };
         // Pulses that begin between two instants see a step of the acceleration at another time.
         let looks = (LOOKS_OF_A_PULSE * step_s / plan.pulse.duration_s).ceil();
         let pulse_s = plan.pulse.duration_s;
@@ -963,15 +957,16 @@ impl ReceivingElement {
             let all = from_s.map(|t_s| unsteady_at(arm_m, t_s));
             all.fold(DVec3::ZERO, larger)
         };
+        let [transmit_change_m_per_s2, transmit_unsteady_m_per_s2] = match tables_changes {
+            true => [transmit_change(), unsteady_at(place, 0.0)],
+            false => [DVec3::ZERO; 2],
+        };
         Self {
             transmit_m: start.point_m(place),
             transmit_m_per_s: start.point_velocity_m_per_s(place),
             transmit_m_per_s2: acceleration(0.0, place),
-            transmit_change_m_per_s2: largest(&of_transmitter),
-            transmit_unsteady_m_per_s2: match tables_changes {
-                true => unsteady_at(place, 0.0),
-                false => DVec3::ZERO,
-            },
+            transmit_change_m_per_s2,
+            transmit_unsteady_m_per_s2,
             transmit_from_world: DMat3::from_quat(
                 (start.world_from_body * transmit.mounting.body_from_array).inverse(),
             ),
@@ -1018,26 +1013,24 @@ impl ReceivingElement {
         let axes = |world_from_body: DQuat| {
             DMat3::from_quat((world_from_body * self.body_from_array).inverse())
         };
-        let of_segment = |segment: &Segment, moves: f64| PathLeg {
-            start_s: segment.start_s,
-            at_m: segment.position_m - origin_m + segment.world_from_body * self.arm_m,
-            velocity_m_per_s: moves * segment.velocity_m_per_s,
-            array_from_world: axes(segment.world_from_body),
-            turning_rad_per_s: DVec3::ZERO,
-            facing_s: segment.start_s,
-            doppler: [
-                segment_m_per_s(plan, segment, self.arm_m),
-                DVec3::ZERO,
-                DVec3::ZERO,
-            ],
+        let of_segment = |k: usize, moves: f64| {
+            let segment = &segments[k];
+            let arm_m = segment.world_from_body * self.arm_m;
+            PathLeg {
+                start_s: segment.start_s,
+                at_m: segment.position_m - origin_m + arm_m,
+                velocity_m_per_s: moves * segment.velocity_m_per_s,
+                array_from_world: axes(segment.world_from_body),
+                turning_rad_per_s: DVec3::ZERO,
+                facing_s: segment.start_s,
+                doppler: segment_motion(plan, k, arm_m),
+                doppler_rate: DVec3::ZERO,
+            }
         };
         let of_chord = |chord: &Chord| {
             let place_m = |pose: &Pose| pose.point_m(self.arm_m);
-            let velocity = |pose: &Pose| pose.point_velocity_m_per_s(self.arm_m);
             let at_m = place_m(&chord.begin);
-            let begins = velocity(&chord.begin);
-            let rate = (velocity(&chord.end) - begins) / chord.step_s;
-            let gained = velocity(&chord.later) - velocity(&chord.middle);
+            let (doppler, doppler_rate) = chord.motion(self.arm_m, self.pulse_s);
             let array_from_world = axes(chord.middle.world_from_body);
             PathLeg {
                 start_s: chord.start_s,
@@ -1046,13 +1039,14 @@ impl ReceivingElement {
                 array_from_world,
                 turning_rad_per_s: array_from_world * chord.middle.angular_velocity_rad_per_s,
                 facing_s: chord.start_s + 0.5 * chord.step_s,
-                doppler: [begins, rate, gained / self.pulse_s],
+                doppler,
+                doppler_rate,
             }
         };
         match plan.model.path {
             PathModel::Continuous => Vec::new(),
-            PathModel::StopAndHop => vec![of_segment(&segments[0], 0.0)],
-            PathModel::Polyline => segments.iter().map(|s| of_segment(s, 1.0)).collect(),
+            PathModel::StopAndHop => vec![of_segment(0, 0.0)],
+            PathModel::Polyline => (0..segments.len()).map(|k| of_segment(k, 1.0)).collect(),
             PathModel::KSegment => chords.iter().map(of_chord).collect(),
         }
     }
@@ -1088,7 +1082,7 @@ impl ReceivingElement {
     }
 
     /// The mean velocity that the path model is off by within an echo that arrives at `t_s`, along its rays, transmitter and element together: up to
-    /// the end of what is heard of it, or to the middle of that if it is larger. Of no leg: the exact trajectory.
+    /// the end of what is heard of it, or to the middle of that if it is larger. `leg`: none for `continuous`, which has the exact track.
     fn off_velocity_m_per_s(
         &self,
         plan: &PingPlan,
@@ -1102,8 +1096,9 @@ impl ReceivingElement {
             return 0.0;
         }
         let of_model = leg.map(|leg| {
-            let [velocity, rate, acceleration] = leg.doppler;
-            [velocity + rate * (t_s - leg.start_s), acceleration]
+            let moved = leg.doppler_rate * (t_s - leg.start_s);
+            let begin = leg.doppler;
+            [begin.velocity_m_per_s + moved, begin.acceleration_m_per_s2]
         });
         let receive = off_velocities(
             (&plan.trajectory, plan.segments[0].position_m),

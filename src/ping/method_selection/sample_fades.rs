@@ -49,7 +49,7 @@ const FEW: f64 = 8.0;
 /// Degrees of freedom of the energy of echoes that keep their phase differences.
 const OF_FEW: f64 = 1.0;
 
-/// Whether all scatterers of a ping are looked at, at the fewest elements of an array that tell: at most [`PAIRS`] of both.
+/// Whether a ping has so few scatterers that all of them are looked at: with the fewest elements of an array that this takes, at most [`PAIRS`] pairs.
 pub(super) fn are_few(spec: &SonarSpec, scatterers: &Scatterers) -> bool {
     let elements = spec.receive.iter().map(|array| array.elements);
     let fewest = elements.max().unwrap_or(1).min(ELEMENTS.0);

@@ -411,6 +411,8 @@ pub(crate) fn exact_echo(
 mod tests {
     use super::super::filter::oversample;
     use super::*;
+    use echotank_core::pulse::PulseKind;
+    use echotank_core::testing::plan_at_rest;
 
     /// A lone echo over the noise floor of its own, and over that of a record whose strongest window is 20 dB below it.
     #[test]
@@ -421,9 +423,6 @@ mod tests {
         assert_eq!(cut_echoes(OVERLAPPING), 1.0);
         assert_eq!(cut_echoes(f64::INFINITY), 1.0);
     }
-
-    use echotank_core::pulse::PulseKind;
-    use echotank_core::testing::plan_at_rest;
 
     const RATE_HZ: f64 = 40e3;
 

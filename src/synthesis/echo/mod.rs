@@ -30,7 +30,7 @@ pub mod walk;
 pub mod wind_sea;
 
 pub use absorption::absorption_db_per_m;
-pub use paths::Chord;
+pub use paths::{Chord, segment_motion};
 pub use reference::reference;
 pub use span::doppler_span;
 pub use walk::{

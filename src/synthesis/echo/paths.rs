@@ -152,6 +152,18 @@ impl Chord {
             begin = end;
         }
     }
+
+    /// Motion of a point fixed in the body for the Doppler term, at the start of the chord: its acceleration is the mean over a pulse that begins in
+    /// the middle of the chord. And the rate of its velocity along the chord, m/s^2.
+    pub fn motion(&self, body_m: DVec3, pulse_s: f64) -> (Motion, DVec3) {
+        let velocity = |pose: &Pose| pose.point_velocity_m_per_s(body_m);
+        let begins = velocity(&self.begin);
+        let motion = Motion {
+            velocity_m_per_s: begins,
+            acceleration_m_per_s2: (velocity(&self.later) - velocity(&self.middle)) / pulse_s,
+        };
+        (motion, (velocity(&self.end) - begins) / self.step_s)
+    }
 }
 
 fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
@@ -161,7 +173,7 @@ fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
 /// Motion of a point on a lever arm (world axes) during segment `k` of the platform: the segment's
 /// velocity plus the effect of rotation. The segment has a constant attitude, so the rate of
 /// rotation comes from the trajectory.
-fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
+pub fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
     let segment = &plan.segments[k];
     let turning = plan
         .trajectory
@@ -375,45 +387,29 @@ impl ElementTrack {
     /// the chord, which may be shorter than the pulse.
     fn compute_chords(&mut self, plan: &PingPlan, transmit: &Transmit, chords: &[Chord]) {
         let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
-        let velocity = |pose: &Pose| pose.point_velocity_m_per_s(self.element_m);
         for chord in chords {
-            let Chord {
-                start_s,
-                end_s,
-                step_s,
-                begin,
-                middle,
-                end,
-                later,
-            } = chord;
-            let origin_m = place_m(begin);
-            let chord_m = place_m(end) - origin_m;
-            let speed = velocity(begin);
+            let middle = &chord.middle;
+            let origin_m = place_m(&chord.begin);
+            let chord_m = place_m(&chord.end) - origin_m;
+            let (motion, rate) = chord.motion(self.element_m, plan.pulse.duration_s);
             // Twice the distance of the middle from the chord bounds the distance of any smooth
             // arc.
             let off_m = (place_m(middle) - origin_m - 0.5 * chord_m).length();
             let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
             self.sag_m = self.sag_m.max(2.0 * off_m);
-            let gained = velocity(later) - velocity(middle);
             self.legs.push(Leg {
-                start_s: *start_s,
-                end_s: *end_s,
+                start_s: chord.start_s,
+                end_s: chord.end_s,
                 origin_m,
-                velocity_m_per_s: chord_m / *step_s,
-                doppler: doppler_motion(
-                    plan,
-                    Motion {
-                        velocity_m_per_s: speed,
-                        acceleration_m_per_s2: gained / plan.pulse.duration_s,
-                    },
-                ),
+                velocity_m_per_s: chord_m / chord.step_s,
+                doppler: doppler_motion(plan, motion),
                 doppler_rate: match plan.model.doppler {
                     DopplerModel::None => DVec3::ZERO,
-                    _ => (velocity(end) - speed) / *step_s,
+                    _ => rate,
                 },
                 array_from_world,
                 turning_rad_per_s: array_from_world * middle.angular_velocity_rad_per_s,
-                facing_s: 0.5 * *step_s,
+                facing_s: 0.5 * chord.step_s,
                 passed_m: f64::INFINITY,
                 begun_m: 0.0,
             });
