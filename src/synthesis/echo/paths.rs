@@ -134,10 +134,8 @@ impl Chord {
             }
             let middle_s = start_s + 0.5 * step_s;
             let (middle, end) = (pose_at(middle_s), pose_at(start_s + step_s));
-            let later = match (plan.model.path, plan.model.doppler) {
-                (PathModel::KSegment, DopplerModel::StretchQuadratic) => {
-                    pose_at(middle_s + plan.pulse.duration_s)
-                }
+            let later = match plan.model.doppler {
+                DopplerModel::StretchQuadratic => pose_at(middle_s + plan.pulse.duration_s),
                 _ => middle,
             };
             chords.push(Self {
