@@ -133,6 +133,14 @@ pub struct EchoError {
 }
 
 impl EchoError {
+    /// The larger errors of two engines.
+    pub(crate) fn or_more(self, other: Option<Self>) -> Self {
+        other.map_or(self, |other| Self {
+            mean: self.mean.max(other.mean),
+            window: self.window.max(other.window),
+        })
+    }
+
     /// In the worst window of a ping that is not made, `fading` as in [`EchoStatistics`](echotank_synthesis::error_model::EchoStatistics).
     pub(crate) fn before_ping(self, fading: f64) -> f64 {
         self.window.max(fading * self.mean)

@@ -93,6 +93,8 @@ pub struct EchoStatistics {
     pub closing_m_per_s: f64,
     /// Closing speed of whole echoes, metres per second.
     pub closing_of_echoes_m_per_s: f64,
+    /// Closing speeds of the echoes of a window lie so far apart, mean over windows, metres per second.
+    pub closing_apart_m_per_s: f64,
     /// Second derivative of the range, mean of both legs, metres per second squared.
     pub range_acceleration_m_per_s2: f64,
     /// The same, with equal weight all through an echo: errors of its size are there at the onset too.

@@ -234,6 +234,27 @@ pub fn sampled(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (u
     })
 }
 
+/// Smallest and largest of some values.
+#[derive(Clone, Copy)]
+pub(super) struct Extremes(f64, f64);
+
+impl Default for Extremes {
+    /// Of no values.
+    fn default() -> Self {
+        Self(f64::INFINITY, f64::NEG_INFINITY)
+    }
+}
+
+impl Extremes {
+    fn and(self, other: Self) -> Self {
+        Self(self.0.min(other.0), self.1.max(other.1))
+    }
+
+    fn apart(self) -> f64 {
+        (self.1 - self.0).max(0.0)
+    }
+}
+
 /// What sounds in a part of a window: energy, and the weighted sums and squares of the quantities of [`EchoStatistics`].
 #[derive(Clone, Copy, Default)]
 pub(super) struct Part {
@@ -243,6 +264,8 @@ pub(super) struct Part {
     /// Squares of the component across the array and of the closing speed of whole echoes.
     pub across2: f64,
     pub closing2: f64,
+    /// Closing speeds.
+    pub(super) closing: Extremes,
     /// Of the loudest echo, all of it, and what of it sounds here.
     pub loudest: f64,
     pub loudest_here: f64,
@@ -265,6 +288,7 @@ impl Part {
         }
         self.across2 += other.across2;
         self.closing2 += other.closing2;
+        self.closing = self.closing.and(other.closing);
         self.ends += other.ends;
         self.loudest = self.loudest.max(other.loudest);
         // Echoes that do not sound at the same time do not interfere.
@@ -289,7 +313,9 @@ impl Part {
             self.squares[q] += value * value * energy * heard[SQUARED + g];
         }
         self.across2 += share * echo.across_m_per_s.powi(2);
-        self.closing2 += share * echo.values[1].powi(2);
+        let closing = echo.values[1];
+        self.closing2 += share * closing.powi(2);
+        self.closing = self.closing.and(Extremes(closing, closing));
     }
 
     /// The worst that the quantities amount to in samples of a window like this one, among windows whose number has the logarithm `looks`.
@@ -355,6 +381,7 @@ pub fn echo_statistics(
     let independent = fades::independent_of_pulse(&plan.pulse, window_s);
     let mut worst = [0.0f64; QUANTITIES];
     let (mut across2, mut closing2) = (0.0f64, 0.0f64);
+    let (mut apart, mut heard) = (0.0, 0.0);
     let mut sounded = false;
     // Echoes in a loud window that count, at most.
     let mut crowd = 1.0f64;
@@ -393,6 +420,8 @@ pub fn echo_statistics(
                 let against = window.energy.max(mean);
                 across2 = across2.max(window.across2 / against);
                 closing2 = closing2.max(window.closing2 / against);
+                apart += window.closing.apart();
+                heard += 1.0;
                 let (amounts, faded) = window.amounts(&energies.last, floor, looks, independent);
                 fading = fading.max(faded);
                 for (worst, amount) in worst.iter_mut().zip(amounts) {
@@ -416,6 +445,7 @@ pub fn echo_statistics(
         displacement_m: displacement,
         closing_m_per_s: closing,
         closing_of_echoes_m_per_s: closing2.sqrt(),
+        closing_apart_m_per_s: apart / heard,
         range_acceleration_m_per_s2: range_acceleration,
         range_acceleration_throughout_m_per_s2: throughout,
         range_jerk_m_per_s3: range_jerk,
@@ -1495,6 +1525,24 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn closing_speeds_lie_apart_in_a_window_of_several_parts() {
+        let part = |closing: &[f64]| {
+            let mut part = Part::default();
+            for &closing in closing {
+                part.closing = part.closing.and(Extremes(closing, closing));
+            }
+            part
+        };
+        let apart = |parts: &[Part]| {
+            let window = parts.iter().fold(Part::default(), Part::and);
+            window.closing.apart()
+        };
+        assert_eq!(apart(&[part(&[-3.0]), part(&[]), part(&[-1.0, -2.0])]), 2.0);
+        assert_eq!(apart(&[part(&[5.0]), part(&[])]), 0.0);
+        assert_eq!(apart(&[part(&[])]), 0.0);
     }
 
     /// A track that bends after the end of the record, which cuts the pulse.

@@ -86,7 +86,7 @@ const MANY: f64 = 10.0;
 /// short`).
 const LEAST_FOR_2D: usize = 150_000;
 /// Time to solve the delay of an echo at a node of a line, many at once, over that at an element of `gridded-1d`: 40 ns were measured with five nodes
-/// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90.
+/// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90. On the exact trajectory both take the same.
 const NODE_PER_ELEMENT: f64 = 0.45;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
@@ -155,6 +155,7 @@ impl MotionScale {
                 *value *= factor;
             }
             echoes.closing_of_echoes_m_per_s *= self.speed;
+            echoes.closing_apart_m_per_s *= self.speed;
             echoes.across_m_per_s *= self.speed;
         }
         conditions
@@ -779,21 +780,39 @@ impl<'a> CandidateBuilder<'a> {
         } else {
             MANY_ON_LINES
         };
+        let fading = self
+            .conditions
+            .echo_statistics
+            .map_or(f64::INFINITY, |echoes| echoes.fading);
         // Elements that are made one by one, and points at which delays are solved.
         let (mut elements, mut solved) = (0.0, 0.0);
         let receive = self.scene.spec.receive.iter();
+        let (nearest_m, farthest_m) = self.conditions.range_m;
+        let heard = lines::Heard {
+            echoes: arrivals,
+            differ_m_per_s: self
+                .conditions
+                .echo_statistics
+                .map_or(2.0 * self.conditions.speed_m_per_s, |echoes| {
+                    echoes.closing_apart_m_per_s
+                }),
+            duration_s: 2.0 * (farthest_m - nearest_m) / self.conditions.sound_speed_m_per_s,
+        };
         for (index, (array, line)) in receive.zip(&engine.lines).enumerate() {
             let Some(line) = line else {
                 elements += array.elements as f64;
                 continue;
             };
-            let differ = 2.0 * self.closing_m_per_s();
-            let cost = line.cost_estimate(arrivals as usize, differ);
+            let cost = line.cost_estimate(heard);
             work = work
                 .and(Figure::GriddedLinesEcho, cost.echoes_ns)
                 .and(Figure::GriddedLinesGrid, cost.grids_ns);
             let points = line.solved_points(array, self.conditions.range_m);
-            solved += NODE_PER_ELEMENT * points.unwrap_or(0.0);
+            let per_element = match motion.path {
+                PathModel::Continuous => 1.0,
+                _ => NODE_PER_ELEMENT,
+            };
+            solved += per_element * points.unwrap_or(0.0);
             let at_rest = || {
                 let echo = line.echo_at_rest()?;
                 let phase_errors = line.phase_errors(array, self.conditions.range_m);
@@ -801,8 +820,20 @@ impl<'a> CandidateBuilder<'a> {
                 Some(resting.error(index, echo, &phase_errors))
             };
             let known = self.is_at_rest().then(at_rest).flatten();
-            let bound = || onsets * line.error_of(array, self.line_motion());
+            let [mean, window] = line.echo_errors(array, self.line_motion());
+            let of_line = EchoError {
+                mean,
+                window: SINGLE_MARGIN * window,
+            };
+            let bound = || {
+                let of_many = onsets * line.error_of(array, self.line_motion());
+                of_many.min(of_line.before_ping(fading))
+            };
             error = error.max(known.unwrap_or_else(bound));
+            echo_error = match known {
+                Some(_) => None,
+                None => Some(of_line.or_more(echo_error)),
+            };
             why.clone_from(&line.error_model().why);
         }
         if let Some(one) = &engine.elements {
@@ -820,10 +851,6 @@ impl<'a> CandidateBuilder<'a> {
                 .and(Figure::Gridded1dGrid, cost.grids_ns * elements);
             solved += elements;
             let error_model = one.error_model();
-            let fading = self
-                .conditions
-                .echo_statistics
-                .map_or(f64::INFINITY, |echoes| echoes.fading);
             let of_one = EchoError {
                 mean: one.mean_error(),
                 window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
@@ -840,7 +867,10 @@ impl<'a> CandidateBuilder<'a> {
             let known = self.is_at_rest().then(at_rest).flatten();
             error = error.max(known.unwrap_or(bound.min(KEPT_BY_ONE * tolerance)));
             let only_elements = engine.lines.iter().all(Option::is_none);
-            echo_error = (known.is_none() && only_elements).then_some(of_one);
+            echo_error = match known {
+                None if only_elements || echo_error.is_some() => Some(of_one.or_more(echo_error)),
+                _ => None,
+            };
             if why.is_empty() {
                 why = error_model.why;
             }

@@ -508,6 +508,7 @@ mod tests {
                 displacement_m: 0.0,
                 closing_m_per_s: 0.0,
                 closing_of_echoes_m_per_s: 0.0,
+                closing_apart_m_per_s: 0.0,
                 range_acceleration_m_per_s2: 0.0,
                 range_acceleration_throughout_m_per_s2: throughout,
                 range_jerk_m_per_s3: 0.0,

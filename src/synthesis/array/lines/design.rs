@@ -15,12 +15,12 @@ use crate::error_model::ErrorModel;
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::DopplerModel;
 use echotank_core::pulse::Pulse;
-use echotank_core::simd::SimdLevel;
+use echotank_core::simd::{Kind, SimdLevel};
 
 use super::dopplers::{Band, Columns, CurvatureFit, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places};
-use super::spread::{LANES, NARROW, QUARTER, lanes_for};
+use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
 use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
@@ -51,23 +51,16 @@ const MIN_SLAB: usize = 192;
 const MAX_SLAB: usize = 8192;
 /// Samples of a slab of which a few columns fit the second-level cache.
 const CACHED_SLAB: f64 = 768.0;
-/// Costs, nanoseconds of one core: per echo; per echo and node; per echo and block; per row of it; per tap of a row. Set between two processors with
-/// AVX-512 by `tools/bench rates` on lines of 8, 16, 20 and 256 elements (`board`, `surveyor240`, `sidescan455`, `seabat`, `wbms`): an AMD EPYC (Zen 4)
-/// needs 0.6 to 0.9 times as much.
-const ECHO_NS: f64 = 140.0;
-const NODE_NS: f64 = 15.0;
-const BLOCK_NS: f64 = 20.0;
-const ROW_NS: f64 = 2.0;
-const TAP_NS: f64 = 1.6;
-/// Grids of more bytes leave the second-level cache: rows and taps then cost so much more for every doubling.
-const CACHED_GRID: f64 = 512.0 * 1024.0;
-const UNCACHED: f64 = 0.25;
+/// Costs, nanoseconds of one core. Those of an echo: without Doppler, and with it. Those of inner loops depend on the vectors ([`LoopCosts`]).
+const ECHO_NS: [f64; 2] = [60.0, 110.0];
+const NODE_NS: f64 = 8.0;
+/// Per sample and element of the output.
+const SAMPLE_NS: f64 = 3.0;
+/// Grids of more bytes leave the second-level cache, and then the third: each tap of a row costs so much more for every doubling.
+const CACHED: [(f64, f64); 2] = [(512.0 * 1024.0, 0.25), (8.0 * 1024.0 * 1024.0, 3.5)];
 /// What a narrow block saves of a wide one, whose vectors are twice as wide, and a quarter block.
 const NARROW_SAVES: f64 = 0.45;
 const QUARTER_SAVES: f64 = 0.6;
-/// Per row of a column's transform and log2 of the rows; per sample and element of the output.
-const TRANSFORM_NS: f64 = 2.0;
-const SAMPLE_NS: f64 = 6.0;
 /// Ranges at which the interpolation along the line is examined: the farthest, in half lengths, and the steps towards the line.
 const FARTHEST: f64 = 1e4;
 const NEARER: f64 = 0.9;
@@ -189,6 +182,8 @@ pub struct Design {
 #[derive(Clone, Copy, Debug)]
 struct ErrorParts {
     kernel: f64,
+    /// Of a single echo: rms, and in its worst window.
+    kernel_of_echo: [f64; 2],
     columns: f64,
     /// Of echoes with a Doppler beyond all columns.
     beyond: f64,
@@ -226,19 +221,25 @@ impl ErrorParts {
         (2.0 * room * room / (first + first.hypot(second))).sqrt()
     }
 
-    /// Error in the worst window for a phase of 1 rad at the ends of the pulse: what the weights leave out in proportion to it, and to its square. With two
-    /// columns u^2 + wide u^3 is left out; the rms of half the square of u^2 less its mean is 0.06.
+    /// Error in the worst window for a phase of 1 rad at the ends of the pulse: what the weights leave out in proportion to it, and to its square.
     fn curvature_terms(&self, columns: &Columns) -> (f64, f64) {
+        let [first, second] = self.curvature_of_echo(columns);
+        let of = |(rms, end): (f64, f64)| worst_of_even(self.fading, rms, end);
+        (of(first), of(second))
+    }
+
+    /// The same of one echo: rms, and how many times as large it is at the ends. With two columns u^2 + wide u^3 is left out; the rms of half the square of
+    /// u^2 less its mean is 0.06.
+    fn curvature_of_echo(&self, columns: &Columns) -> [(f64, f64); 2] {
         let most = 1.0 + self.wide.abs();
         match columns.taps {
             ..3 => {
                 let rms = (1.0 / 5.0 + self.wide * self.wide / 7.0).sqrt();
-                (worst_of_even(self.fading, rms, most / rms), 0.0)
+                [(rms, most / rms), (0.0, 1.0)]
             }
             _ => {
                 let CurvatureFit { rms, end, .. } = columns.curvature;
-                let second = worst_of_even(self.fading, 0.06 * most * most, 4.0);
-                (worst_of_even(self.fading, rms, end), second)
+                [(rms, end), (0.06 * most * most, 4.0)]
             }
         }
     }
@@ -255,17 +256,69 @@ pub struct LineMotion {
     pub curvature_per_s: f64,
 }
 
+/// Costs of the inner loops, nanoseconds of one core: per echo and block, per row of it, and per tap of a row; of a transform per row and log2 of the rows,
+/// to columns and back.
+struct LoopCosts {
+    block: f64,
+    row: f64,
+    tap: f64,
+    forward: f64,
+    back: f64,
+}
+
+impl LoopCosts {
+    /// AVX-512: set between two processors by `tools/bench rates` on lines of 8, 16, 20 and 256 elements. Others: a fit to 328 random pings of 2 to 256
+    /// elements on an AMD EPYC with AVX2.
+    fn of(simd_level: SimdLevel) -> Self {
+        match simd_level.kind() {
+            Kind::Avx512 => Self {
+                block: 16.0,
+                row: 1.6,
+                tap: 1.3,
+                forward: 1.8,
+                back: 1.6,
+            },
+            _ => Self {
+                block: 14.0,
+                row: 3.4,
+                tap: 3.9,
+                forward: 3.0,
+                back: 1.8,
+            },
+        }
+    }
+}
+
+/// Echoes of a ping, for its cost.
+#[derive(Clone, Copy, Debug)]
+pub struct Heard {
+    /// How many echoes there are.
+    pub echoes: f64,
+    /// Closing speeds of those that sound together differ by at most this, m/s.
+    pub differ_m_per_s: f64,
+    /// Time from the first echo to the last one's start, seconds.
+    pub duration_s: f64,
+}
+
 /// What a ping costs apart from its echoes and their Dopplers.
 #[derive(Clone, Copy, Debug)]
 struct Effort {
-    /// Per echo, nanoseconds, and for its rows and taps; its nodes cost [`NODE_NS`] each.
+    /// Per echo, nanoseconds, and for its rows; its nodes cost [`NODE_NS`] each.
     echo_ns: f64,
     rows_ns: f64,
+    /// Taps of an echo in all its rows.
+    echo_taps: f64,
+    tap_ns: f64,
     /// Of one column of one block's grid.
     column_bytes: f64,
-    /// All transforms of one column, those that any ping has, and the samples, nanoseconds.
+    /// Transforms of one column of a slab, and of the slab's samples; all samples, nanoseconds.
     column_ns: f64,
-    fixed_ns: f64,
+    slab_ns: f64,
+    samples_ns: f64,
+    /// Slabs of a record, and of each second.
+    slabs: f64,
+    slabs_per_s: f64,
+    /// Columns of an echo.
     taps: f64,
     /// Stretch between columns; 0 with one column.
     step: f64,
@@ -273,25 +326,39 @@ struct Effort {
 }
 
 impl Effort {
-    /// For echoes whose closing speeds differ by `differ_m_per_s`.
-    fn cost(&self, echoes: f64, differ_m_per_s: f64) -> CostEstimate {
+    fn cost(&self, heard: Heard) -> CostEstimate {
         let columns = match self.step > 0.0 {
             false => 1.0,
-            true => self.taps + stretch(differ_m_per_s, self.sound_speed_m_per_s) / self.step,
+            true => self.taps + stretch(heard.differ_m_per_s, self.sound_speed_m_per_s) / self.step,
         };
         let grid = columns * self.column_bytes;
-        let uncached = 1.0 + UNCACHED * (grid / CACHED_GRID).log2().max(0.0);
+        let uncached_ns = CACHED.map(|(bytes, ns)| ns * (grid / bytes).log2().max(0.0));
+        let tap_ns = self.tap_ns + uncached_ns.iter().sum::<f64>();
+        // A time touches one slab more than it is long.
+        let slabs = (1.0 + heard.duration_s * self.slabs_per_s)
+            .min(self.slabs)
+            .min(heard.echoes);
         CostEstimate {
-            echoes_ns: echoes * (self.echo_ns + uncached * self.rows_ns),
-            grids_ns: columns * self.column_ns + self.fixed_ns,
+            echoes_ns: heard.echoes * (self.echo_ns + self.rows_ns + self.echo_taps * tap_ns),
+            grids_ns: slabs * (columns * self.column_ns + self.slab_ns) + self.samples_ns,
         }
     }
 
-    /// Of a typical ping with so many echoes, with their nodes, milliseconds.
+    /// Of a typical ping with so many echoes in all its record, with their nodes, milliseconds.
     fn typical_ms(&self, echoes: f64) -> f64 {
         let nodes_ns = echoes * TYPICAL_NODES * NODE_NS;
-        self.cost(echoes, TYPICAL_M_PER_S).ms() + 1e-6 * nodes_ns
+        let heard = Heard {
+            echoes,
+            differ_m_per_s: TYPICAL_M_PER_S,
+            duration_s: f64::INFINITY,
+        };
+        self.cost(heard).ms() + 1e-6 * nodes_ns
     }
+}
+
+/// Least-squares errors of so many columns are like the Legendre polynomial of that degree: at the ends of an echo so many times their rms.
+fn end_of_columns(taps: usize) -> f64 {
+    (2.0 * taps as f64 + 1.0).sqrt()
 }
 
 /// Stretch of an echo that closes at this speed on both ways.
@@ -459,11 +526,8 @@ impl Design {
         let single_echo = &*single_echo;
         let fading = single_echo.fading(spec);
         let carrier_hz = pulse.center_frequency_hz;
-        // Least-squares errors of k columns are like the Legendre polynomial of degree k.
-        let worst_of_columns = |taps: usize, rms: f64| {
-            let end = (2.0 * taps as f64 + 1.0).sqrt();
-            worst_of_even(fading, rms, end)
-        };
+        let worst_of_columns =
+            |taps: usize, rms: f64| worst_of_even(fading, rms, end_of_columns(taps));
         let of_columns = |columns: &Columns| worst_of_columns(columns.taps, columns.error);
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let extent_s = 0.55 * pulse.duration_s + filter.half_s() + 1.1 * half_m / c;
@@ -501,6 +565,7 @@ impl Design {
         let curvature_room = tolerance * CURVATURE_SHARE.sqrt();
         let no_kernel = ErrorParts {
             kernel: 0.0,
+            kernel_of_echo: [0.0; 2],
             columns: 0.0,
             beyond: beyond_error,
             fading,
@@ -542,17 +607,21 @@ impl Design {
                 false => 0.0,
                 true => columns.turn_rad / turn_per_stretch,
             };
+            let costs = LoopCosts::of(spec.simd_level);
+            let lanes = cell_lanes(lanes_for(array.elements)) as f64;
             let effort = |columns: &Columns| {
-                let row_ns = ROW_NS + TAP_NS * columns.taps as f64;
-                let count = (samples + 2 * extent).div_ceil(payload) as f64;
-                let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
+                let transform = |n: usize, ns: f64| blocks * ns * n as f64 * (n as f64).log2();
                 Effort {
-                    echo_ns: ECHO_NS + blocks * BLOCK_NS,
-                    rows_ns: blocks * rows * row_ns,
-                    column_bytes: (slab_rows * 2 * LANES * size_of::<f32>()) as f64,
-                    column_ns: blocks * count * transform(slab_rows),
-                    fixed_ns: blocks * count * transform(slab_samples)
-                        + SAMPLE_NS * array.elements as f64 * samples as f64,
+                    echo_ns: ECHO_NS[usize::from(moving)] + blocks * costs.block,
+                    rows_ns: blocks * rows * costs.row,
+                    echo_taps: blocks * rows * columns.taps as f64,
+                    tap_ns: costs.tap,
+                    column_bytes: slab_rows as f64 * 2.0 * lanes * size_of::<f32>() as f64,
+                    column_ns: transform(slab_rows, costs.forward),
+                    slab_ns: transform(slab_samples, costs.back),
+                    samples_ns: SAMPLE_NS * array.elements as f64 * samples as f64,
+                    slabs: (samples + 2 * extent).div_ceil(payload) as f64,
+                    slabs_per_s: rate_hz / payload as f64,
                     taps: columns.taps as f64,
                     step: step(columns),
                     sound_speed_m_per_s: c,
@@ -578,8 +647,9 @@ impl Design {
                 (kernel, single_echo.errors(&kernel, per_sample))
             };
             let fitted = *place.get_or_insert_with(|| contents.each_ref().map(fit));
-            let [steep, flat] = fitted.map(|(kernel, errors)| (kernel, worst(fading, errors)));
-            let (kernel, kernel_error) = match steep.1 <= flat.1 {
+            let [steep, flat] =
+                fitted.map(|(kernel, errors)| (kernel, worst(fading, errors), errors));
+            let (kernel, kernel_error, of_echo) = match steep.1 <= flat.1 {
                 true => steep,
                 false => flat,
             };
@@ -603,6 +673,7 @@ impl Design {
                 // What the others leave of the tolerance.
                 let parts = ErrorParts {
                     kernel: kernel_error,
+                    kernel_of_echo: [of_echo.rms, of_echo.alone],
                     columns: of_columns(columns),
                     curvature_room: (tolerance * tolerance - others * others).max(0.0).sqrt(),
                     ..no_kernel
@@ -660,13 +731,46 @@ impl Design {
     /// Predicted windowed error of a ping with this motion: as [`Self::error_model`], which allows for the nearest scatterer and the fastest platform of
     /// the design.
     pub fn error_of(&self, array: &ArrayGeometry, motion: LineMotion) -> f64 {
+        let [path, beyond, curvature_per_s] = self.of_motion(array, motion);
+        let curvature = self.parts.of_curvature(&self.columns, curvature_per_s);
         let ErrorParts {
-            kernel,
-            columns,
-            beyond,
-            curvature_per_s,
-            ..
+            kernel, columns, ..
         } = self.parts;
+        [kernel, columns, path, beyond, curvature]
+            .into_iter()
+            .fold(0.0, f64::hypot)
+    }
+
+    /// Predicted errors of a single echo of such a ping: rms over the echo and its places on the grid, and in its worst window.
+    pub fn echo_errors(&self, array: &ArrayGeometry, motion: LineMotion) -> [f64; 2] {
+        let [path, beyond, curvature_per_s] = self.of_motion(array, motion);
+        let curvature_rad = self.parts.curvature_rad_s * curvature_per_s;
+        let [first, second] = self.parts.curvature_of_echo(&self.columns);
+        // Its second order along a block, where weights do not follow it.
+        let straight = match self.step > 0.0 {
+            true => self.straight_rad,
+            false => 0.0,
+        };
+        let of_columns = self.columns.error;
+        let evens = [
+            (of_columns, end_of_columns(self.columns.taps)),
+            (first.0 * curvature_rad, first.1),
+            (second.0 * curvature_rad * curvature_rad, second.1),
+            (straight / 5f64.sqrt(), 5f64.sqrt()),
+        ];
+        let [rms, worst] = self.parts.kernel_of_echo;
+        let others = path.hypot(beyond);
+        let rms = evens
+            .iter()
+            .fold(rms.hypot(others), |sum, (rms, _)| sum.hypot(*rms));
+        let worst = evens
+            .iter()
+            .fold(worst.hypot(others), |sum, (rms, end)| sum.hypot(rms * end));
+        [rms, worst]
+    }
+
+    /// Errors of a ping with this motion, by the interpolation along the line and by Dopplers beyond all columns, and its curvature, per second.
+    fn of_motion(&self, array: &ArrayGeometry, motion: LineMotion) -> [f64; 3] {
         let path_m = match self.path_errors_m(array, motion.range_m) {
             Some(errors) => errors.into_iter().map(|(_, m)| m).fold(0.0, f64::max),
             None => self.path_m,
@@ -676,17 +780,15 @@ impl Design {
         let closing = stretch(motion.closing_m_per_s, self.effort.sound_speed_m_per_s);
         let beyond = match closing <= reach_columns * self.step {
             true => 0.0,
-            false => beyond,
+            false => self.parts.beyond,
         };
         // Accelerations add to what the design allows for.
-        let curvature_per_s = match curvature_per_s > 0.0 && motion.curvature_per_s.is_finite() {
+        let of_design = self.parts.curvature_per_s;
+        let curvature_per_s = match of_design > 0.0 && motion.curvature_per_s.is_finite() {
             true => motion.curvature_per_s,
-            false => curvature_per_s,
+            false => of_design,
         };
-        let curvature = self.parts.of_curvature(&self.columns, curvature_per_s);
-        [kernel, columns, path, beyond, curvature]
-            .into_iter()
-            .fold(0.0, f64::hypot)
+        [path, beyond, curvature_per_s]
     }
 
     /// An echo with its error, apart from that of the interpolation along the line ([`Self::phase_errors`]), of a design without Doppler; none of
@@ -731,10 +833,10 @@ impl Design {
         Some(errors.collect())
     }
 
-    /// Predicted cost of a ping with so many echoes, whose closing speeds differ by `differ_m_per_s`, without the solution of delays and gains
-    /// at the nodes ([`Self::nodes`] of them for every scatterer).
-    pub fn cost_estimate(&self, echoes: usize, differ_m_per_s: f64) -> CostEstimate {
-        self.effort.cost(echoes as f64, differ_m_per_s)
+    /// Predicted cost of a ping with these echoes, without the solution of delays and gains at the nodes ([`Self::solved_points`] of them for every
+    /// scatterer).
+    pub fn cost_estimate(&self, heard: Heard) -> CostEstimate {
+        self.effort.cost(heard)
     }
 
     /// Nodes along `array` for scatterers at `nearest_m` and beyond; none if no number is enough.

@@ -40,5 +40,5 @@ mod products;
 mod spread;
 mod windows;
 
-pub use design::{Design, LineMotion, MIN_TOLERANCE, Refusal, Spec};
+pub use design::{Design, Heard, LineMotion, MIN_TOLERANCE, Refusal, Spec};
 pub use engine::GriddedLines;

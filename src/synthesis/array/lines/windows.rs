@@ -40,6 +40,8 @@ pub(super) struct KernelErrors {
     pub rms: f64,
     /// In the worst window of an echo alone, or at the beginning or the end of many.
     pub edges: f64,
+    /// In the worst window of an echo alone in the ping.
+    pub alone: f64,
 }
 
 /// An echo alone behind the receiver filter.
@@ -53,6 +55,8 @@ pub(super) struct SingleEcho {
     /// Energy by window, of which the noise is the least that counts.
     level: Vec<f64>,
     noise: f64,
+    /// Noise below an echo alone in the ping.
+    noise_of_one: f64,
     /// Noise below a dense succession of echoes, one per sample.
     noise_of_many: f64,
     energy: f64,
@@ -156,6 +160,7 @@ impl SingleEcho {
             inverse,
             window,
             noise,
+            noise_of_one: greatest * NOISE,
             noise_of_many: NOISE * level.iter().sum::<f64>(),
             level,
             free: free.round() as usize + 1,
@@ -238,7 +243,7 @@ impl SingleEcho {
     /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample.
     pub(super) fn errors(&self, kernel: &Kernel, per_sample: f64) -> KernelErrors {
         let off_at = self.off_at(kernel, per_sample);
-        let (mut energy, mut worst) = (0.0, 0.0f64);
+        let (mut energy, mut worst, mut alone) = (0.0, 0.0f64, 0.0f64);
         for place in 0..PLACES {
             let mut off = vec![Complex64::ZERO; self.size];
             for (k, values) in off_at.iter().enumerate() {
@@ -250,6 +255,7 @@ impl SingleEcho {
             let both = || off.iter().zip(&self.level);
             for (off, level) in both() {
                 worst = worst.max(off / level.max(self.noise));
+                alone = alone.max(off / level.max(self.noise_of_one));
             }
             // Windows that the first or the last of many echoes reach: those from any place on, before or after.
             let mut of_many = |pair: &mut dyn Iterator<Item = (&f64, &f64)>| {
@@ -266,6 +272,7 @@ impl SingleEcho {
         KernelErrors {
             rms: (energy / self.energy).sqrt(),
             edges: worst.sqrt(),
+            alone: alone.sqrt(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::DopplerModel;
 use echotank_core::simd::SimdLevel;
-use echotank_synthesis::array::lines::{Design, GriddedLines, Refusal, Spec};
+use echotank_synthesis::array::lines::{Design, GriddedLines, Heard, Refusal, Spec};
 use echotank_synthesis::echo::walk::{NodeBatch, NodeTracks, NodeWorkspace};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -222,6 +222,40 @@ fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
     let design = Design::new(&spec(&scene, &scene.rx, tolerance)).expect("within reach");
     assert!(design.nodes(&scene.rx, 36.0).is_some());
     assert_eq!(design.nodes(&scene.rx, 5.0), None);
+}
+
+/// Echoes that are fewer, sound for a shorter time or close at more equal speeds need fewer slabs and columns.
+#[test]
+fn a_ping_costs_what_its_echoes_need() {
+    let mut scene = short(SCENE, 8e-3, 30e3);
+    scene.plan.model.doppler = DopplerModel::Stretch;
+    let mut spec = spec(&scene, &scene.rx, 1e-2);
+    spec.samples = 20_000;
+    let design = Design::new(&spec).expect("within reach");
+    let all = Heard {
+        echoes: 10_000.0,
+        differ_m_per_s: 4.0,
+        duration_s: 1.0,
+    };
+    let record_s = spec.samples as f64 / spec.sample_rate_hz;
+    let ms = |heard| design.cost_estimate(heard).ms();
+    let costs = [
+        all,
+        Heard {
+            duration_s: record_s / 3.0,
+            ..all
+        },
+        Heard {
+            differ_m_per_s: 1.0,
+            ..all
+        },
+        Heard { echoes: 1.0, ..all },
+    ]
+    .map(ms);
+    println!("{costs:.2?} ms");
+    let [all, shorter, closer, one] = costs;
+    assert!(shorter < 0.9 * all && closer < 0.9 * all, "{costs:?}");
+    assert!(one < shorter.min(closer), "{costs:?}");
 }
 
 /// The Doppler changes with the square of the speed over the range.
