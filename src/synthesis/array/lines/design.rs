@@ -21,7 +21,7 @@ use super::dopplers::{Band, Columns, CurvatureFit, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places};
 use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
-use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
+use super::windows::{KernelErrors, MORE, SingleEcho, noise_factor, worst, worst_of_even};
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
 const PATH_SHARE: f64 = 0.1;
@@ -182,8 +182,9 @@ pub struct Design {
 #[derive(Clone, Copy, Debug)]
 struct ErrorParts {
     kernel: f64,
-    /// Of a single echo: rms, and in its worst window.
+    /// Of a single echo: rms, and in its worst window; and how far from its middle its windows reach, half pulses.
     kernel_of_echo: [f64; 2],
+    reach_of_echo: f64,
     columns: f64,
     /// Of echoes with a Doppler beyond all columns.
     beyond: f64,
@@ -359,6 +360,15 @@ impl Effort {
 /// Least-squares errors of so many columns are like the Legendre polynomial of that degree: at the ends of an echo so many times their rms.
 fn end_of_columns(taps: usize) -> f64 {
     (2.0 * taps as f64 + 1.0).sqrt()
+}
+
+/// Legendre polynomial.
+fn legendre(degree: usize, x: f64) -> f64 {
+    let next = |(before, at): (f64, f64), n: usize| {
+        let n = n as f64;
+        (at, ((2.0 * n + 1.0) * x * at - n * before) / (n + 1.0))
+    };
+    (0..degree).fold((0.0, 1.0), next).1
 }
 
 /// Stretch of an echo that closes at this speed on both ways.
@@ -566,6 +576,7 @@ impl Design {
         let no_kernel = ErrorParts {
             kernel: 0.0,
             kernel_of_echo: [0.0; 2],
+            reach_of_echo: single_echo.reach,
             columns: 0.0,
             beyond: beyond_error,
             fading,
@@ -751,12 +762,18 @@ impl Design {
             true => self.straight_rad,
             false => 0.0,
         };
+        // Beyond the ends of the pulse, where the filter answers before and after it, they grow as polynomials do.
+        let reach = self.parts.reach_of_echo;
+        let beyond_end = legendre(self.columns.taps, reach);
         let of_columns = self.columns.error;
         let evens = [
-            (of_columns, end_of_columns(self.columns.taps)),
-            (first.0 * curvature_rad, first.1),
-            (second.0 * curvature_rad * curvature_rad, second.1),
-            (straight / 5f64.sqrt(), 5f64.sqrt()),
+            (of_columns, beyond_end * end_of_columns(self.columns.taps)),
+            (first.0 * curvature_rad, beyond_end * first.1),
+            (
+                second.0 * curvature_rad * curvature_rad,
+                reach.powi(4) * second.1,
+            ),
+            (straight / 5f64.sqrt(), reach * reach * 5f64.sqrt()),
         ];
         let [rms, worst] = self.parts.kernel_of_echo;
         let others = path.hypot(beyond);
@@ -766,7 +783,7 @@ impl Design {
         let worst = evens
             .iter()
             .fold(worst.hypot(others), |sum, (rms, end)| sum.hypot(rms * end));
-        [rms, worst]
+        [MORE * rms, worst]
     }
 
     /// Errors of a ping with this motion, by the interpolation along the line and by Dopplers beyond all columns, and its curvature, per second.

@@ -29,7 +29,7 @@ const SURE: f64 = 0.125;
 /// Places of an echo between two rows.
 const PLACES: usize = 12;
 /// Several echoes in one window, and echoes that change (motion, patterns).
-const MORE: f64 = 1.3;
+pub(super) const MORE: f64 = 1.3;
 /// Rounding errors of the transforms over a slab, relative to the strongest echo.
 const ROUNDING: f64 = 1e-7;
 
@@ -60,6 +60,9 @@ pub(super) struct SingleEcho {
     /// Noise below a dense succession of echoes, one per sample.
     noise_of_many: f64,
     energy: f64,
+    /// Half pulses from the middle of an echo alone in the ping to the last sample of the first window with more than the noise: behind the receiver
+    /// filter, windows before the onset hold the filter's answer.
+    pub(super) reach: f64,
     /// Independent values of a window.
     free: usize,
 }
@@ -151,10 +154,20 @@ impl SingleEcho {
         let level = windowed(&samples, window);
         let greatest = level.iter().copied().fold(0.0, f64::max);
         let noise = greatest * NOISE * noise_factor(spec);
+        let energy = samples.iter().map(|x| x.norm_sqr()).sum::<f64>();
+        let moment = samples
+            .iter()
+            .zip(0..)
+            .map(|(x, k)| f64::from(k) * x.norm_sqr());
+        let middle = moment.sum::<f64>() / energy;
+        let heard = level.iter().position(|level| *level > greatest * NOISE);
+        let last = (heard.unwrap_or(0) + window - 1) as f64;
+        let reach = (middle - last) / (0.5 * spec.pulse.duration_s * rate_hz);
         let free =
             window as f64 / rate_hz * spec.pulse.bandwidth_hz.max(1.0 / spec.pulse.duration_s);
         Self {
-            energy: samples.iter().map(|x| x.norm_sqr()).sum(),
+            energy,
+            reach: reach.max(1.0),
             spectrum,
             size,
             inverse,

@@ -3,7 +3,7 @@
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::DopplerModel;
 use echotank_core::simd::SimdLevel;
-use echotank_synthesis::array::lines::{Design, GriddedLines, Heard, Refusal, Spec};
+use echotank_synthesis::array::lines::{Design, GriddedLines, Heard, LineMotion, Refusal, Spec};
 use echotank_synthesis::echo::walk::{NodeBatch, NodeTracks, NodeWorkspace};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -222,6 +222,67 @@ fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
     let design = Design::new(&spec(&scene, &scene.rx, tolerance)).expect("within reach");
     assert!(design.nodes(&scene.rx, 36.0).is_some());
     assert_eq!(design.nodes(&scene.rx, 5.0), None);
+}
+
+/// The errors of a single moving echo: in its worst window, and rms over its places on the grid, which differ from element to element.
+#[test]
+fn a_single_echo_has_its_predicted_errors() {
+    for (velocity_m_per_s, duration_s, bandwidth_hz, tolerance) in [
+        (DVec3::new(0.3, 5.0, 0.3), 0.4e-3, 0.0, 1e-2),
+        (DVec3::new(5.0, 0.3, -0.3), 1e-3, 30e3, 1e-3),
+        (DVec3::new(5.0, 0.3, -0.3), 5e-3, 30e3, 3e-2),
+    ] {
+        let (mut largest, mut off, mut level) = (0.0f64, 0.0, 0.0);
+        let mut predicted = [0.0; 2];
+        for seed in 0..8 {
+            let scene = short(
+                Draw {
+                    velocity_m_per_s,
+                    scatterers: 1,
+                    seed,
+                    ..SCENE
+                },
+                duration_s,
+                bandwidth_hz,
+            );
+            let spec = spec(&scene, &scene.rx, tolerance);
+            let design = Design::new(&spec).expect("within reach");
+            let motion = LineMotion {
+                range_m: (SCENE.near_m, SCENE.far_m),
+                closing_m_per_s: velocity_m_per_s.length(),
+                curvature_per_s: velocity_m_per_s.length_squared()
+                    / (SCENE.near_m * spec.sound_speed_m_per_s),
+            };
+            predicted = design.echo_errors(&scene.rx, motion);
+            let mut engine = GriddedLines::of_design(&spec, design).expect("as above");
+            let iq = samples(&scene, &mut engine);
+            for element in [0, 9, 21, 39] {
+                let count = scene.plan.sample_count;
+                let (got, want) = (
+                    &iq[element * count..][..count],
+                    truth(&scene, element, false),
+                );
+                largest = largest.max(worst(got, &want, duration_s));
+                off += got
+                    .iter()
+                    .zip(&want)
+                    .map(|(a, b)| (a - b).norm_sqr())
+                    .sum::<f64>();
+                level += want.iter().map(|x| x.norm_sqr()).sum::<f64>();
+            }
+        }
+        let [rms, window] = predicted;
+        let measured = (off / level).sqrt();
+        println!(
+            "{velocity_m_per_s} m/s, {duration_s} s: rms {measured:.1e} of {rms:.1e}, worst window {largest:.1e} of {window:.1e}"
+        );
+        assert!(measured <= rms && rms < 4.0 * measured, "{measured} {rms}");
+        // The selection has a margin of 2.0.
+        assert!(
+            largest <= 1.5 * window && window < 4.0 * largest,
+            "{largest} {window}"
+        );
+    }
 }
 
 /// Echoes that are fewer, sound for a shorter time or close at more equal speeds need fewer slabs and columns.
