@@ -130,6 +130,8 @@ pub struct EchoError {
     pub mean: f64,
     /// In the worst window.
     pub window: f64,
+    /// In any window of a ping, at most.
+    pub most: f64,
 }
 
 impl EchoError {
@@ -138,18 +140,19 @@ impl EchoError {
         other.map_or(self, |other| Self {
             mean: self.mean.max(other.mean),
             window: self.window.max(other.window),
+            most: self.most.max(other.most),
         })
     }
 
     /// In the worst window of a ping that is not made, `fading` as in [`EchoStatistics`](echotank_synthesis::error_model::EchoStatistics).
     pub(crate) fn before_ping(self, fading: f64) -> f64 {
-        self.window.max(fading * self.mean)
+        self.window.max(fading * self.mean).min(self.most)
     }
 
     /// ... and of one that is, `tails` as there: the ends of echoes have no more than these as a whole. Of two that end together, the errors add.
     pub(crate) fn of_ping(self, fading: f64, tails: f64) -> f64 {
         let of_ends = (TWO.max(cut_echoes(tails)) * self.window).min(tails * self.mean);
-        of_ends.max(fading * self.mean)
+        of_ends.max(fading * self.mean).min(self.most)
     }
 }
 

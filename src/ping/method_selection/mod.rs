@@ -826,12 +826,9 @@ impl<'a> CandidateBuilder<'a> {
             let of_line = EchoError {
                 mean,
                 window: SINGLE_MARGIN_OF_LINES * window,
+                most: onsets * line.error_of(array, self.line_motion()),
             };
-            let bound = || {
-                let of_many = onsets * line.error_of(array, self.line_motion());
-                of_many.min(of_line.before_ping(fading))
-            };
-            error = error.max(known.unwrap_or_else(bound));
+            error = error.max(known.unwrap_or(of_line.before_ping(fading)));
             echo_error = match known {
                 Some(_) => None,
                 None => Some(of_line.or_more(echo_error)),
@@ -856,6 +853,7 @@ impl<'a> CandidateBuilder<'a> {
             let of_one = EchoError {
                 mean: one.mean_error(),
                 window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
+                most: f64::INFINITY,
             };
             let bound = of_one.before_ping(fading);
             let at_rest = || {
