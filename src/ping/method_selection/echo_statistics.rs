@@ -264,8 +264,8 @@ pub(super) struct Part {
     /// Squares of the component across the array and of the closing speed of whole echoes.
     pub across2: f64,
     pub closing2: f64,
-    /// Closing speeds.
-    pub(super) closing: Extremes,
+    /// Closing speeds, m/s.
+    pub(super) closing_m_per_s: Extremes,
     /// Of the loudest echo, all of it, and what of it sounds here.
     pub loudest: f64,
     pub loudest_here: f64,
@@ -288,7 +288,7 @@ impl Part {
         }
         self.across2 += other.across2;
         self.closing2 += other.closing2;
-        self.closing = self.closing.and(other.closing);
+        self.closing_m_per_s = self.closing_m_per_s.and(other.closing_m_per_s);
         self.ends += other.ends;
         self.loudest = self.loudest.max(other.loudest);
         // Echoes that do not sound at the same time do not interfere.
@@ -315,7 +315,7 @@ impl Part {
         self.across2 += share * echo.across_m_per_s.powi(2);
         let closing = echo.values[1];
         self.closing2 += share * closing.powi(2);
-        self.closing = self.closing.and(Extremes(closing, closing));
+        self.closing_m_per_s = self.closing_m_per_s.and(Extremes(closing, closing));
     }
 
     /// The worst that the quantities amount to in samples of a window like this one, among windows whose number has the logarithm `looks`.
@@ -381,7 +381,7 @@ pub fn echo_statistics(
     let independent = fades::independent_of_pulse(&plan.pulse, window_s);
     let mut worst = [0.0f64; QUANTITIES];
     let (mut across2, mut closing2) = (0.0f64, 0.0f64);
-    let (mut apart, mut heard) = (0.0, 0.0);
+    let (mut apart_m_per_s, mut heard) = (0.0, 0.0);
     let mut sounded = false;
     // Echoes in a loud window that count, at most.
     let mut crowd = 1.0f64;
@@ -420,7 +420,7 @@ pub fn echo_statistics(
                 let against = window.energy.max(mean);
                 across2 = across2.max(window.across2 / against);
                 closing2 = closing2.max(window.closing2 / against);
-                apart += window.closing.apart();
+                apart_m_per_s += window.closing_m_per_s.apart();
                 heard += 1.0;
                 let (amounts, faded) = window.amounts(&energies.last, floor, looks, independent);
                 fading = fading.max(faded);
@@ -445,7 +445,7 @@ pub fn echo_statistics(
         displacement_m: displacement,
         closing_m_per_s: closing,
         closing_of_echoes_m_per_s: closing2.sqrt(),
-        closing_apart_m_per_s: apart / heard,
+        closing_apart_m_per_s: apart_m_per_s / heard,
         range_acceleration_m_per_s2: range_acceleration,
         range_acceleration_throughout_m_per_s2: throughout,
         range_jerk_m_per_s3: range_jerk,
@@ -1111,8 +1111,8 @@ impl ReceivingElement {
         (exact, [off_m, off_m_per_s])
     }
 
-    /// The mean velocity that the path model is off by within an echo that arrives at `t_s`, along its rays, transmitter and element together: up to
-    /// the end of what is heard of it, or to the middle of that if it is larger. `leg`: none for `continuous`, which has the exact track.
+    /// Mean velocity error of the path model during an echo that arrives at `t_s`, m/s, along its rays, the sum of transmitter and element: over the
+    /// received part of the echo or over the first half of that part, whichever is larger. `leg` is `None` for `continuous`, whose trajectory is exact.
     fn off_velocity_m_per_s(
         &self,
         plan: &PingPlan,
@@ -1532,13 +1532,13 @@ mod tests {
         let part = |closing: &[f64]| {
             let mut part = Part::default();
             for &closing in closing {
-                part.closing = part.closing.and(Extremes(closing, closing));
+                part.closing_m_per_s = part.closing_m_per_s.and(Extremes(closing, closing));
             }
             part
         };
         let apart = |parts: &[Part]| {
             let window = parts.iter().fold(Part::default(), Part::and);
-            window.closing.apart()
+            window.closing_m_per_s.apart()
         };
         assert_eq!(apart(&[part(&[-3.0]), part(&[]), part(&[-1.0, -2.0])]), 2.0);
         assert_eq!(apart(&[part(&[5.0]), part(&[])]), 0.0);

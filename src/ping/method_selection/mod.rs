@@ -88,7 +88,7 @@ const MANY: f64 = 10.0;
 /// short`).
 const LEAST_FOR_2D: usize = 150_000;
 /// Time to solve the delay of an echo at a node of a line, many at once, over that at an element of `gridded-1d`: 40 ns were measured with five nodes
-/// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90. On the exact trajectory both take the same.
+/// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90. On the exact trajectory both take about the same.
 const NODE_PER_ELEMENT: f64 = 0.45;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;

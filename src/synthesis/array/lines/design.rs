@@ -56,7 +56,7 @@ const ECHO_NS: [f64; 2] = [60.0, 110.0];
 const NODE_NS: f64 = 8.0;
 /// Per sample and element of the output.
 const SAMPLE_NS: f64 = 3.0;
-/// Grids of more bytes leave the second-level cache, and then the third: each tap of a row costs so much more for every doubling.
+/// Grids of more bytes leave the second-level cache, and then the third: each tap of a row costs so many nanoseconds more for every doubling.
 const CACHED: [(f64, f64); 2] = [(512.0 * 1024.0, 0.25), (8.0 * 1024.0 * 1024.0, 3.5)];
 /// What a narrow block saves of a wide one, whose vectors are twice as wide, and a quarter block.
 const NARROW_SAVES: f64 = 0.45;
@@ -260,11 +260,11 @@ pub struct LineMotion {
 /// Costs of the inner loops, nanoseconds of one core: per echo and block, per row of it, and per tap of a row; of a transform per row and log2 of the rows,
 /// to columns and back.
 struct LoopCosts {
-    block: f64,
-    row: f64,
-    tap: f64,
-    forward: f64,
-    back: f64,
+    block_ns: f64,
+    row_ns: f64,
+    tap_ns: f64,
+    forward_ns: f64,
+    back_ns: f64,
 }
 
 impl LoopCosts {
@@ -273,18 +273,18 @@ impl LoopCosts {
     fn of(simd_level: SimdLevel) -> Self {
         match simd_level.kind() {
             Kind::Avx512 => Self {
-                block: 16.0,
-                row: 1.6,
-                tap: 1.3,
-                forward: 1.8,
-                back: 1.6,
+                block_ns: 16.0,
+                row_ns: 1.6,
+                tap_ns: 1.3,
+                forward_ns: 1.8,
+                back_ns: 1.6,
             },
             _ => Self {
-                block: 14.0,
-                row: 3.4,
-                tap: 3.9,
-                forward: 3.0,
-                back: 1.8,
+                block_ns: 14.0,
+                row_ns: 3.4,
+                tap_ns: 3.9,
+                forward_ns: 3.0,
+                back_ns: 1.8,
             },
         }
     }
@@ -295,7 +295,7 @@ impl LoopCosts {
 pub struct Heard {
     /// How many echoes there are.
     pub echoes: f64,
-    /// Closing speeds of those that sound together differ by at most this, m/s.
+    /// Closing speeds of those that sound together lie so far apart, m/s.
     pub differ_m_per_s: f64,
     /// Time from the first echo to the last one's start, seconds.
     pub duration_s: f64,
@@ -362,7 +362,7 @@ fn end_of_columns(taps: usize) -> f64 {
     (2.0 * taps as f64 + 1.0).sqrt()
 }
 
-/// Legendre polynomial.
+/// Legendre polynomial, by the recursion of Bonnet.
 fn legendre(degree: usize, x: f64) -> f64 {
     let next = |(before, at): (f64, f64), n: usize| {
         let n = n as f64;
@@ -623,13 +623,13 @@ impl Design {
             let effort = |columns: &Columns| {
                 let transform = |n: usize, ns: f64| blocks * ns * n as f64 * (n as f64).log2();
                 Effort {
-                    echo_ns: ECHO_NS[usize::from(moving)] + blocks * costs.block,
-                    rows_ns: blocks * rows * costs.row,
+                    echo_ns: ECHO_NS[usize::from(moving)] + blocks * costs.block_ns,
+                    rows_ns: blocks * rows * costs.row_ns,
                     echo_taps: blocks * rows * columns.taps as f64,
-                    tap_ns: costs.tap,
+                    tap_ns: costs.tap_ns,
                     column_bytes: slab_rows as f64 * 2.0 * lanes * size_of::<f32>() as f64,
-                    column_ns: transform(slab_rows, costs.forward),
-                    slab_ns: transform(slab_samples, costs.back),
+                    column_ns: transform(slab_rows, costs.forward_ns),
+                    slab_ns: transform(slab_samples, costs.back_ns),
                     samples_ns: SAMPLE_NS * array.elements as f64 * samples as f64,
                     slabs: (samples + 2 * extent).div_ceil(payload) as f64,
                     slabs_per_s: rate_hz / payload as f64,

@@ -153,14 +153,14 @@ impl SingleEcho {
         inverse.process(&mut samples);
         let level = windowed(&samples, window);
         let greatest = level.iter().copied().fold(0.0, f64::max);
-        let noise = greatest * NOISE * noise_factor(spec);
+        let noise_of_one = greatest * NOISE;
         let energy = samples.iter().map(|x| x.norm_sqr()).sum::<f64>();
         let moment = samples
             .iter()
             .zip(0..)
             .map(|(x, k)| f64::from(k) * x.norm_sqr());
         let middle = moment.sum::<f64>() / energy;
-        let heard = level.iter().position(|level| *level > greatest * NOISE);
+        let heard = level.iter().position(|level| *level > noise_of_one);
         let last = (heard.unwrap_or(0) + window - 1) as f64;
         let reach = (middle - last) / (0.5 * spec.pulse.duration_s * rate_hz);
         let free =
@@ -172,8 +172,8 @@ impl SingleEcho {
             size,
             inverse,
             window,
-            noise,
-            noise_of_one: greatest * NOISE,
+            noise: noise_of_one * noise_factor(spec),
+            noise_of_one,
             noise_of_many: NOISE * level.iter().sum::<f64>(),
             level,
             free: free.round() as usize + 1,
