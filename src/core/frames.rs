@@ -98,13 +98,10 @@ pub struct Trajectory {
     pub lever_arm_m: DVec3,
 }
 
-/// Index of the interval `[knots[i], knots[i+1]]` that holds `time_s`, or the nearest one.
-fn interval(times: impl Fn(usize) -> f64, len: usize, time_s: f64) -> usize {
-    let mut i = 0;
-    while i + 2 < len && time_s >= times(i + 1) {
-        i += 1;
-    }
-    i
+/// Index of the interval `[knots[i], knots[i+1]]` that holds `time_s`, or the nearest one. Of two knots or more.
+fn interval<K>(knots: &[K], time_of: impl Fn(&K) -> f64, time_s: f64) -> usize {
+    let begun = knots.partition_point(|knot| time_of(knot) <= time_s);
+    begun.saturating_sub(1).min(knots.len() - 2)
 }
 
 /// Value and rate of a vector channel at `time_s`: cubic Hermite between the knots, linear outside them.
@@ -129,7 +126,7 @@ fn hermite_from(knots: &[VectorKnot], origin: DVec3, time_s: f64) -> (DVec3, DVe
             last.rate_per_s,
         );
     }
-    let i = interval(|k| knots[k].time_s, knots.len(), time_s);
+    let i = interval(knots, |k| k.time_s, time_s);
     let (a, b) = (&knots[i], &knots[i + 1]);
     let h = b.time_s - a.time_s;
     let s = (time_s - a.time_s) / h;
@@ -162,7 +159,7 @@ pub fn attitude_at(knots: &[AttitudeKnot], time_s: f64) -> (DQuat, DVec3) {
             return (rotation, rotation * rate);
         }
     }
-    let i = interval(|k| knots[k].time_s, knots.len(), time_s);
+    let i = interval(knots, |k| k.time_s, time_s);
     let (a, b) = (&knots[i], &knots[i + 1]);
     let h = b.time_s - a.time_s;
     let s = ((time_s - a.time_s) / h).clamp(0.0, 1.0);

@@ -486,7 +486,8 @@ impl NavHistory {
 /// Rotation at a time. If a knot has this time, the result is exactly its rotation, independent of later knots. Otherwise the
 /// rotation is interpolated.
 fn rotation_at(knots: &[AttitudeKnot], time_s: f64) -> DQuat {
-    match knots.iter().find(|k| k.time_s == time_s) {
+    let at = knots.partition_point(|knot| knot.time_s < time_s);
+    match knots.get(at).filter(|knot| knot.time_s == time_s) {
         Some(knot) => knot.world_from_body,
         None => attitude_at(knots, time_s).0,
     }

@@ -4,6 +4,8 @@
 //! In: a ping's plan and scatterers. Out: [`EchoStatistics`]. Of a seabed, only an even sample of the scatterers is used;
 //! points and targets are all used.
 
+use std::cell::{Cell, RefCell};
+
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::conditions::sound_speed_step_up;
@@ -390,6 +392,7 @@ pub fn echo_statistics(
     let sample = 1.0 / (plan.pulse.duration_s * rate_hz).max(1.0);
     let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
     let mut parts = vec![Part::default(); windows * PARTS];
+    let poses = Poses::of(&plan.trajectory);
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
         let ends = [0, array.elements - 1];
@@ -398,7 +401,7 @@ pub fn echo_statistics(
         for &element in ends {
             parts.fill(Part::default());
             let ends = (array, element);
-            let receiver = ReceivingElement::new(spec, plan, transmit, ends, INSTANTS);
+            let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, ends, INSTANTS);
             receiver.accumulate(plan, scatterers, &energies, part_s, &mut parts);
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
             if mean == 0.0 {
@@ -528,14 +531,15 @@ pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatter
     };
     let heard_m = plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
     let near = near(spec, plan, scatterers);
+    let poses = Poses::of(&plan.trajectory);
     // Each end looks at others.
     let ends = 2 * spec.receive.len().max(1);
     let stride = scatterers.len().div_ceil(FEW_SCATTERERS).max(1);
     for (a, array) in spec.receive.iter().enumerate() {
         let transmit = &spec.transmit[array.transmit];
         for (e, element) in [0, array.elements - 1].into_iter().enumerate() {
-            let receiver =
-                ReceivingElement::new(spec, plan, transmit, (array, element), FEW_INSTANTS);
+            let of = (array, element);
+            let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, of, FEW_INSTANTS);
             let first = (2 * a + e) * stride;
             let evenly = (first..scatterers.len()).step_by(ends * stride);
             for i in evenly.chain(near.iter().copied()) {
@@ -645,6 +649,49 @@ struct PathLeg {
     doppler_rate: DVec3,
 }
 
+/// Poses of a trajectory, kept for the points that ask for them at the same instants in the same order.
+pub(super) struct Poses<'a> {
+    trajectory: &'a Trajectory,
+    /// With origin and instant.
+    known: RefCell<Vec<(DVec3, f64, Pose)>>,
+    next: Cell<usize>,
+}
+
+impl<'a> Poses<'a> {
+    pub(super) fn of(trajectory: &'a Trajectory) -> Self {
+        Self {
+            trajectory,
+            known: RefCell::default(),
+            next: Cell::new(0),
+        }
+    }
+
+    /// Another point begins to ask.
+    fn rewind(&self) {
+        self.next.set(0);
+    }
+
+    fn at(&self, t_s: f64) -> Pose {
+        self.from(DVec3::ZERO, t_s)
+    }
+
+    /// Relative to `origin_m`.
+    fn from(&self, origin_m: DVec3, t_s: f64) -> Pose {
+        let mut known = self.known.borrow_mut();
+        let next = self.next.replace(self.next.get() + 1);
+        if let Some((of_m, at_s, pose)) = known.get(next)
+            && *of_m == origin_m
+            && *at_s == t_s
+        {
+            return *pose;
+        }
+        known.truncate(next);
+        let pose = self.trajectory.pose_from(origin_m, t_s);
+        known.push((origin_m, t_s, pose));
+        pose
+    }
+}
+
 /// Velocities of a point: at the beginning of a pulse, and in the mean up to its middle and up to its end.
 type Velocities = [DVec3; 3];
 
@@ -691,16 +738,16 @@ const MAX_LOOKS: f64 = 8.0;
 /// This is the parabola of `stretch-quadratic`, whose acceleration is the mean over the pulse. Where the record ends within the pulse, at `heard_s`, the
 /// track counts up to there only: as much as leaves that by the shape of [`Growth::Unsteady`].
 fn unsteady_m_per_s2(
-    trajectory: &Trajectory,
+    poses: &Poses,
     pulse_s: f64,
     arm_m: DVec3,
     (t_s, heard_s): (f64, f64),
 ) -> DVec3 {
-    let origin_m = trajectory.pose_at(t_s).position_m;
-    let begin = trajectory.pose_from(origin_m, t_s);
+    let origin_m = poses.at(t_s).position_m;
+    let pose_at = |t_s: f64| poses.from(origin_m, t_s);
+    let begin = pose_at(t_s);
     let off = |until_s: f64| {
-        let track = (trajectory, origin_m);
-        let [.., mean] = off_velocities(track, (arm_m, None), (&begin, t_s), (until_s, pulse_s));
+        let [.., mean] = off_velocities(pose_at, (arm_m, None), (&begin, t_s), (until_s, pulse_s));
         let off_m = mean * until_s;
         match off_m.length() < STILL_M {
             true => DVec3::ZERO,
@@ -735,22 +782,22 @@ fn transmit_off_m_per_s(plan: &PingPlan, transmit: &TransmitArray) -> Velocities
     };
     let pose = plan.trajectory.pose_from(segment.position_m, 0.0);
     let pulse_s = plan.pulse.duration_s;
-    let of = (&plan.trajectory, segment.position_m);
-    off_velocities(of, (arm_m, of_model), (&pose, 0.0), (pulse_s, pulse_s))
+    let pose_at = |t_s: f64| plan.trajectory.pose_from(segment.position_m, t_s);
+    off_velocities(pose_at, (arm_m, of_model), (&pose, 0.0), (pulse_s, pulse_s))
 }
 
 /// The velocities that a model of the motion of a point on a lever arm is off by, in a pulse that begins at `t_s` with `pose`, and of which `until_s`
-/// count. Places are relative to `origin_m`. `of_model`: velocity and acceleration; none: the exact velocity, with the mean acceleration of the pulse.
+/// count. `pose_at`: relative to an origin. `of_model`: velocity and acceleration; none: the exact velocity, with the mean acceleration of the pulse.
 ///
 /// With b and e the velocities off at the beginning and at the end, T apart, and D the way off at the end, the cubic with all three is off by D/2 + (b - e) T/8
 /// in the middle.
 fn off_velocities(
-    (trajectory, origin_m): (&Trajectory, DVec3),
+    pose_at: impl Fn(f64) -> Pose,
     (arm_m, of_model): (DVec3, Option<[DVec3; 2]>),
     (pose, t_s): (&Pose, f64),
     (until_s, pulse_s): (f64, f64),
 ) -> Velocities {
-    let pose_at = |later_s: f64| trajectory.pose_from(origin_m, t_s + later_s);
+    let pose_at = |later_s: f64| pose_at(t_s + later_s);
     let velocity = |pose: &Pose| pose.point_velocity_m_per_s(arm_m);
     let later = pose_at(until_s);
     let begins = velocity(pose);
@@ -880,23 +927,23 @@ struct At {
 impl ReceivingElement {
     pub(super) fn new(
         spec: &SonarSpec,
-        plan: &PingPlan,
+        (plan, poses): (&PingPlan, &Poses),
         transmit: &TransmitArray,
         of: (&ArrayGeometry, usize),
         instants: usize,
     ) -> Self {
-        Self::with_tables(spec, plan, transmit, of, (instants, true))
+        Self::with_tables(spec, (plan, poses), transmit, of, (instants, true))
     }
 
     /// Without the other elements of the array, and with the path model of the plan, for [`Self::accumulate`]. `chords`: of `k-segment`.
     pub(super) fn alone(
         spec: &SonarSpec,
-        (plan, chords): (&PingPlan, &[Chord]),
+        (plan, poses, chords): (&PingPlan, &Poses, &[Chord]),
         transmit: &TransmitArray,
         of: (&ArrayGeometry, usize),
         instants: usize,
     ) -> Self {
-        let receiver = Self::with_tables(spec, plan, transmit, of, (instants, false));
+        let receiver = Self::with_tables(spec, (plan, poses), transmit, of, (instants, false));
         Self {
             line_m: 0.0,
             legs: Some(receiver.legs(plan, chords)),
@@ -908,32 +955,32 @@ impl ReceivingElement {
     /// `tables_changes`: of the acceleration, for echoes whose path model is not known.
     fn with_tables(
         spec: &SonarSpec,
-        plan: &PingPlan,
+        (plan, poses): (&PingPlan, &Poses),
         transmit: &TransmitArray,
         (array, element): (&ArrayGeometry, usize),
         (instants, tables_changes): (usize, bool),
     ) -> Self {
+        poses.rewind();
         let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
         let heard_s = plan.window_s(spec.receiver.sample_rate_hz);
         let step_s = heard_s / instants as f64;
         let arm_m = array.element_body_m(element);
-        let velocity =
-            |t_s: f64, arm_m: DVec3| plan.trajectory.pose_at(t_s).point_velocity_m_per_s(arm_m);
-        let acceleration = |t_s: f64, arm_m: DVec3| {
-            let a = (velocity(t_s + step_s, arm_m) - velocity(t_s, arm_m)) / step_s;
+        // The largest change from an instant on, within a pulse.
+        let pulse_steps = (plan.pulse.duration_s / step_s).ceil().max(1.0) as usize;
+        let steps = instants.max(pulse_steps) + 1;
+        let at: Vec<Pose> = (0..=steps).map(|k| poses.at(k as f64 * step_s)).collect();
+        let acceleration = |k: usize, arm_m: DVec3| {
+            let [begin, end] = [&at[k], &at[k + 1]].map(|pose| pose.point_velocity_m_per_s(arm_m));
+            let a = (end - begin) / step_s;
             if a.length() < STILL_M_PER_S2 {
                 DVec3::ZERO
             } else {
                 a
             }
         };
-        let start = plan.trajectory.pose_at(0.0);
+        let start = &at[0];
         let place = transmit.mounting.position_m;
-        // The largest change from an instant on, within a pulse.
-        let pulse_steps = (plan.pulse.duration_s / step_s).ceil().max(1.0) as usize;
-        let accelerations: Vec<DVec3> = (0..=instants)
-            .map(|k| acceleration(k as f64 * step_s, arm_m))
-            .collect();
+        let accelerations: Vec<DVec3> = (0..=instants).map(|k| acceleration(k, arm_m)).collect();
         let largest = |of: &[DVec3]| {
             let changes = of[1..].iter().map(|a| *a - of[0]);
             changes.fold(DVec3::ZERO, |most, change| {
@@ -953,15 +1000,14 @@ impl ReceivingElement {
             largest(&accelerations[from..=(k + pulse_steps).min(last)])
         };
         let transmit_change = || {
-            let steps = (0..=pulse_steps).map(|k| acceleration(k as f64 * step_s, place));
+            let steps = (0..=pulse_steps).map(|k| acceleration(k, place));
             largest(&steps.collect::<Vec<DVec3>>())
         };
         // Pulses that begin between two instants see a step of the acceleration at another time.
         let looks = (LOOKS_OF_A_PULSE * step_s / plan.pulse.duration_s).ceil();
         let pulse_s = plan.pulse.duration_s;
-        let unsteady_at = |arm_m: DVec3, t_s: f64| {
-            unsteady_m_per_s2(&plan.trajectory, pulse_s, arm_m, (t_s, heard_s))
-        };
+        let unsteady_at =
+            |arm_m: DVec3, t_s: f64| unsteady_m_per_s2(poses, pulse_s, arm_m, (t_s, heard_s));
         let unsteady = |t_s: f64, change: DVec3| {
             if !tables_changes {
                 return DVec3::ZERO;
@@ -994,7 +1040,7 @@ impl ReceivingElement {
         Self {
             transmit_m: start.point_m(place),
             transmit_m_per_s: start.point_velocity_m_per_s(place),
-            transmit_m_per_s2: acceleration(0.0, place),
+            transmit_m_per_s2: acceleration(0, place),
             transmit_change_m_per_s2,
             transmit_unsteady_m_per_s2,
             transmit_from_world: DMat3::from_quat(
@@ -1016,8 +1062,7 @@ impl ReceivingElement {
             step_s,
             at: (0..=instants)
                 .map(|k| {
-                    let t_s = k as f64 * step_s;
-                    let pose = plan.trajectory.pose_at(t_s);
+                    let (t_s, pose) = (k as f64 * step_s, &at[k]);
                     let velocity = pose.point_velocity_m_per_s(arm_m);
                     At {
                         position_m: pose.point_m(arm_m),
@@ -1130,8 +1175,9 @@ impl ReceivingElement {
             let begin = leg.doppler;
             [begin.velocity_m_per_s + moved, begin.acceleration_m_per_s2]
         });
+        let origin_m = plan.segments[0].position_m;
         let receive = off_velocities(
-            (&plan.trajectory, plan.segments[0].position_m),
+            |t_s| plan.trajectory.pose_from(origin_m, t_s),
             (self.arm_m, of_model),
             (pose, t_s),
             (until_s, self.pulse_s),
@@ -1346,9 +1392,10 @@ pub(crate) fn kept_shares(
     let floor = amplitude_from_db(cull_db);
     let (mut all, mut transmit_leg, mut kept) = (0.0, 0.0, 0.0);
     let stride = scatterers.len().div_ceil(SAMPLE_SIZE).max(1);
+    let poses = Poses::of(&plan.trajectory);
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
-        let receiver = ReceivingElement::new(spec, plan, transmit, (array, 0), 1);
+        let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, (array, 0), 1);
         let at = &receiver.at[0];
         let pairs = array.elements as f64;
         for i in (0..scatterers.len()).step_by(stride) {
@@ -1561,7 +1608,8 @@ mod tests {
         ];
         let (pulse_s, t_s, heard_s) = (5e-3, 0.0165, 0.018);
         let at = |heard_s: f64| {
-            unsteady_m_per_s2(&trajectory, pulse_s, DVec3::ZERO, (t_s, heard_s)).length()
+            let poses = Poses::of(&trajectory);
+            unsteady_m_per_s2(&poses, pulse_s, DVec3::ZERO, (t_s, heard_s)).length()
         };
         let (cut, whole) = (at(heard_s), at(0.05));
         println!("{cut:.3e} of {whole:.3e} m/s^2");
@@ -1597,7 +1645,7 @@ mod tests {
         let off = |of_model, until_s: f64| {
             let of = (DVec3::ZERO, of_model);
             let upto_s = (until_s, pulse_s);
-            off_velocities((&track, DVec3::ZERO), of, (&pose, t_s), upto_s).map(|v| v.x)
+            off_velocities(|t_s| track.pose_at(t_s), of, (&pose, t_s), upto_s).map(|v| v.x)
         };
         // Of a cubic: x(s) = v s + a s^2/2 + j s^3/6, less the parabola with a + j T/2.
         for until_s in [pulse_s, 0.5 * pulse_s] {
@@ -1641,6 +1689,26 @@ mod tests {
                 assert!((got / last - 1.0).abs() < 0.02, "{share}: {got} {last}");
             }
         }
+    }
+
+    /// Points that ask for the same instants, and one that asks for others from the third on.
+    #[test]
+    fn kept_poses_are_those_of_the_trajectory() {
+        let track = Trajectory::uniform(DVec3::ZERO, DVec3::X, DQuat::IDENTITY);
+        let poses = Poses::of(&track);
+        for asked in [
+            &[0.0, 0.5, 1.0][..],
+            &[0.0, 0.5, 1.0],
+            &[0.0, 0.5, 2.0, 3.0],
+            &[0.0],
+        ] {
+            poses.rewind();
+            for &t_s in asked {
+                assert_eq!(poses.at(t_s), track.pose_at(t_s));
+                assert_eq!(poses.from(DVec3::X, t_s), track.pose_from(DVec3::X, t_s));
+            }
+        }
+        assert_eq!(poses.known.borrow().len(), 8);
     }
 
     #[test]

@@ -21,8 +21,8 @@ use num_complex::Complex64;
 
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
-    ALONE, Energies, GROWTH, OFF_PATH, OFF_VELOCITY, Part, ReceivingElement, SAMPLED, SINGLE,
-    TRACKED, quantities,
+    ALONE, Energies, GROWTH, OFF_PATH, OFF_VELOCITY, Part, Poses, ReceivingElement, SAMPLED,
+    SINGLE, TRACKED, quantities,
 };
 use crate::method_selection::fades;
 
@@ -227,6 +227,7 @@ impl WindowStatistics {
         if plan.model.path == PathModel::KSegment {
             Chord::all(plan, &mut self.chords);
         }
+        let poses = Poses::of(&plan.trajectory);
         for (array, frame) in spec.receive.iter().zip(frames) {
             if frame.samples == 0 {
                 continue;
@@ -249,9 +250,15 @@ impl WindowStatistics {
             self.looked_at.extend_from_slice(ends);
             let mut k = 0;
             while let Some(&element) = self.looked_at.get(k) {
-                self.accumulate(spec, plan, scatterers, (array, element), &energies, window);
-                self.parts
-                    .truncate((steps.max(1.0) as usize).min(self.parts.len()));
+                let of = (array, element);
+                let until = steps.max(1.0) as usize;
+                self.accumulate(
+                    spec,
+                    (plan, &poses),
+                    scatterers,
+                    of,
+                    (&energies, window, until),
+                );
                 if k < ends.len() {
                     let first = plan.first_sample_s * rate_hz;
                     self.add_to_profile(window, samples, first, weights);
@@ -360,27 +367,26 @@ impl WindowStatistics {
         looked_at.extend(others.iter().take(more).map(|(_, e)| *e));
     }
 
-    /// Sums the echoes of an element in [`Self::parts`], step by step.
+    /// Sums the echoes of an element in [`Self::parts`], step by step, of steps before `until`.
     fn accumulate(
         &mut self,
         spec: &SonarSpec,
-        plan: &PingPlan,
+        (plan, poses): (&PingPlan, &Poses),
         scatterers: &Scatterers,
         (array, element): (&ArrayGeometry, usize),
-        energies: &Energies,
-        window: usize,
+        (energies, window, until): (&Energies, usize, usize),
     ) {
         let rate_hz = spec.receiver.sample_rate_hz;
         let step_s = window as f64 / rate_hz / STEPS as f64;
         // Behind the receiver filter, what begins soon after the record is heard at its end.
         let heard_s = plan.window_s(rate_hz) + tail_samples(spec) / rate_hz;
-        let steps = (heard_s / step_s).ceil() as usize + 1;
+        let steps = ((heard_s / step_s).ceil() as usize + 1).min(until);
         self.parts.clear();
         self.parts.resize(steps, Part::default());
         let transmit = &spec.transmit[array.transmit];
         let receiver = ReceivingElement::alone(
             spec,
-            (plan, &self.chords),
+            (plan, poses, &self.chords),
             transmit,
             (array, element),
             INSTANTS,
