@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
-use echotank_core::model::PathModel;
+use echotank_core::model::{PathModel, Synthesis};
 use serde_json::json;
 
 use self::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
@@ -150,6 +150,7 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
             rings,
         }
     });
+    let spectral = SUMS.iter().position(|s| *s == Synthesis::Spectral);
     let planned = columns.iter().map(|c| match &c.plan {
         Some(plan) => mark(&plan.outcome, c.tolerance, blind),
         None => Mark::Refused,
@@ -167,7 +168,10 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
         columns: regime.values.iter().map(|&v| regime.label(v)).collect(),
         rows,
         gaps: vec![3, 7, 11],
-        framed: vec![(3, 5, "the paper's Eq. 21".to_owned())],
+        framed: spectral
+            .map(|k| (k, 5, "the paper's Eq. 21".to_owned()))
+            .into_iter()
+            .collect(),
         panels: panels.collect(),
         plan: Some((planned.collect(), choices(regime, columns))),
     }

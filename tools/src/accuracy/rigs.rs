@@ -20,6 +20,8 @@ use measure::{CandidateResult, Measured, measure};
 
 /// Computing time of a ping below which the cost limit does not apply, ms.
 const MIN_MS: f64 = 1.0;
+/// Minimum number of scatterers of a ping for its spare tolerance to count.
+const MANY: usize = 1000;
 /// Times the cheapest choice, up to which a cost counts as near it.
 const NEAR_COST: f64 = 1.3;
 
@@ -252,6 +254,19 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
         near(|r| r.1),
         percent(near(|r| r.1), long.len())
     );
+    let mut spare: Vec<f64> = reach
+        .iter()
+        .filter(|row| row.of.scatterers >= MANY)
+        .map(|row| row.of.tolerance / row.of.plan.error)
+        .collect();
+    spare.sort_by(f64::total_cmp);
+    if let Some(median) = spare.get(spare.len() / 2) {
+        let _ = writeln!(
+            text,
+            "tolerance over measured error, median of {} pings with {MANY} scatterers and more: {median:.1}",
+            spare.len()
+        );
+    }
     let mut worst: Vec<&&&Row> = long.iter().collect();
     worst.sort_by(|a, b| ratios(&b.of).0.total_cmp(&ratios(&a.of).0));
     text += "\nlargest cost ratio to the cheapest predicted within the tolerance:\n";

@@ -21,9 +21,10 @@ use serde::Serialize;
 use super::spot::Spot;
 
 /// Synthesis methods, in the order of the panels of the figures.
-pub(crate) const SUMS: [Synthesis; 6] = [
+pub(crate) const SUMS: [Synthesis; 7] = [
     Synthesis::Direct,
     Synthesis::Gridded1d,
+    Synthesis::GriddedLines,
     Synthesis::Gridded2d,
     Synthesis::Spectral,
     Synthesis::Nearest,

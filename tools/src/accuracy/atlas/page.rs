@@ -13,7 +13,7 @@ from left to right.
 
 | in a figure | meaning |
 |---|---|
-| panel | one synthesis method; six in all |
+| panel | one synthesis method; seven in all |
 | row | one path model with one Doppler model |
 | colour | error of the element samples against the reference, in tolerances |
 | blue | within the tolerance |
@@ -28,7 +28,7 @@ The reference is the retarded-time sum on the continuous motion. In the summary,
 
 | command | result |
 |---|---|
-| `tools/accuracy atlas` | all figures; about an hour on a busy machine |
+| `tools/accuracy atlas` | all figures; about half an hour |
 | `tools/accuracy atlas --only NAME` | one figure |
 | `tools/accuracy atlas --page` | this page |
 

@@ -59,7 +59,7 @@ const TOP: f64 = 104.0;
 const PANEL_GAP: f64 = 16.0;
 /// Maximum total width of the columns of all panels.
 const WIDEST: f64 = 14.0;
-const PANELS_WIDTH: f64 = 1180.0;
+const PANELS_WIDTH: f64 = 1380.0;
 /// Limits of the colour scale, decades from the tolerance.
 const ENDS: f64 = 4.0;
 

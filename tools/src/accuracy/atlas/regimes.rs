@@ -79,7 +79,7 @@ pub(crate) const ALL: [Regime; 20] = [
                than stop-and-hop. The gridded engines are built for 10 m/s and count faster echoes. Above 150 m/s\n\
                navigation rejects the positions and the ping is skipped.",
         paper: "divides by the speed (Eq. 5), and Eq. 21 reverses Eq. 5: from 0.1 m/s on the error is as large as the signal",
-        ours: "one expression for every speed including 0; from 30 m/s on `gridded-1d` counts echoes outside its limits, and method selection reports the tolerance as not met; above 150 m/s: \"two positions imply 151 m/s\"",
+        ours: "one expression for every speed including 0; from 100 m/s on the engines count echoes outside their limits, and method selection reports the tolerance as not met; above 150 m/s: \"two positions imply 151 m/s\"",
     },
     Regime {
         name: "range",
@@ -382,7 +382,7 @@ pub(crate) const ALL: [Regime; 20] = [
         },
         says: "Without Doppler the phase drifts over a pulse of any practical length. A uniform stretch is accurate\n\
                up to pulses of 1 ms, above which the path is curved within the pulse. The second order is accurate\n\
-               up to 20 ms; the engines have limits of 5 ms and 8 ms.",
+               up to 20 ms; `gridded-1d` takes pulses up to 5 ms, `gridded-2d` up to 8 ms, `gridded-lines` all of these.",
         paper: "Eq. 21 shifts no frequency: it stretches the delays and not the pulse",
         ours: "every echo is stretched about its own arrival; the Doppler columns of the engines are designed for the longest pulse",
     },
