@@ -521,16 +521,19 @@ pub(super) struct EchoPeaks {
     /// In the order of [`EchoStatistics`].
     values: [f64; QUANTITIES],
     nearest_m: f64,
+    /// Some scatterer is so near that the platform's way during a pulse is no small part of its range: how loud it is counts more than the peaks.
+    pub(super) has_near: bool,
 }
 
 /// The peaks of a ping.
 pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> EchoPeaks {
+    let near = near(spec, plan, scatterers);
     let mut peaks = EchoPeaks {
         values: [0.0; QUANTITIES],
         nearest_m: f64::INFINITY,
+        has_near: !near.is_empty(),
     };
     let heard_m = plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
-    let near = near(spec, plan, scatterers);
     let poses = Poses::of(&plan.trajectory);
     // Each end looks at others.
     let ends = 2 * spec.receive.len().max(1);

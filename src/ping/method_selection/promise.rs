@@ -120,12 +120,13 @@ impl Promise {
             false => plan.range_floors.left_out,
         };
         // Of few scatterers the statistics are made anew for each ping, before and after it: which of them is heard alone changes from ping to ping. Of
-        // more, the peaks of their motion tell how much greater the statistics are than those of the selection.
+        // more, the peaks of their motion tell how much greater the statistics are than those of the selection, unless some are very near.
         let few = are_few(spec, scatterers);
-        let conditions = match few {
+        let peaks = (!few && !is_reference).then(|| echo_peaks(spec, plan, scatterers));
+        let conditions = match peaks {
             _ if is_reference => self.conditions,
-            true => conditions(spec, plan, scatterers),
-            false => echo_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
+            Some(peaks) if !peaks.has_near => peaks.scale(&self.peaks, self.conditions),
+            _ => conditions(spec, plan, scatterers),
         };
         let mut ping = PingPromise {
             path: self.path,
