@@ -69,6 +69,8 @@ class ReceiveArray:
     name: str
     elements: int
     spacing_m: float
+    # Of an arc; 0 for a straight line.
+    radius_m: float
     position_m: np.ndarray
     roll_pitch_yaw_deg: tuple
     transmit: int
@@ -121,7 +123,7 @@ def pattern_of(table, kind, side):
         length_m = float(table["spacing_m"])
     if name == "omnidirectional" or length_m == width_m == 0:
         return Pattern()
-    return Pattern(length_m, width_m, table.get("baffled", True))
+    return Pattern(length_m, width_m, table.get("baffled", "radius_m" not in table))
 
 
 def angles_of(table):
@@ -154,6 +156,7 @@ def load_rig(path, sonar_name=None, changes=()):
     source_level_db = float(sonar["ping"].get("source_level_db", 0.0))
     receive = [ReceiveArray(
         name=a.get("name", str(i)), elements=int(a["elements"]), spacing_m=float(a.get("spacing_m", 0.0)),
+        radius_m=float(a.get("radius_m", 0.0)),
         position_m=np.array(a.get("position_m", [0, 0, 0]), float),
         roll_pitch_yaw_deg=angles_of(a), transmit=transmit_names.index(a["transmit"]),
         level_db=source_level_db + float(a.get("sensitivity_db", -190.0)), pattern=pattern_of(a, "element_pattern", "element_"),
@@ -213,7 +216,17 @@ def elements_in_body(array):
     along = (np.arange(array.elements).astype(REAL) - REAL(array.elements - 1) / 2) * REAL(array.spacing_m)
     offsets = np.zeros((array.elements, 3), REAL)
     offsets[:, 0] = along
+    if array.radius_m:
+        radius, angles = REAL(array.radius_m), along / REAL(array.radius_m)
+        offsets[:, 0], offsets[:, 2] = radius * np.sin(angles), -2 * radius * np.sin(angles / 2) ** 2
     return array.position_m.astype(REAL) + offsets @ rotation(*array.roll_pitch_yaw_deg).T
+
+
+def normal_deg(array, element):
+    """Angle of an element's normal from the boresight, towards the array's x axis."""
+    if not array.radius_m:
+        return 0.0
+    return float(360 / TAU * (element - (array.elements - 1) / 2) * array.spacing_m / array.radius_m)
 
 
 class Unsupported(Exception):
@@ -390,7 +403,9 @@ def moving_ping(rig, ping_ns, window_s):
         return motion.origin_m + motion.point(np.zeros(1), body)[0]
 
     def echoes(array, element, fs, first, count):
-        return Echoes(*points_model.element_record(rig, motion, rig.receive[array], bodies[array][element], fs, first, count))
+        owner = rig.receive[array]
+        place = bodies[array][element], normal_deg(owner, element)
+        return Echoes(*points_model.element_record(rig, motion, owner, place, fs, first, count))
     return ([at_start(t.position_m) for t in rig.transmit], [[at_start(b) for b in body] for body in bodies], motion.velocity(), echoes)
 
 

@@ -217,7 +217,9 @@ class Filter:
 class Echoes:
     """All echoes at one element, as smooth pieces: piece k holds reception times begin[k]..end[k] of point[k]."""
 
-    def __init__(self, rig, motion, array, body_m, window_s):
+    def __init__(self, rig, motion, array, place, window_s):
+        """`place`: an element's place on the body, and the angle of its normal from the array's boresight."""
+        body_m, normal_deg = place
         c = rig.sound_speed_m_per_s
         transmitter = rig.transmit[array.transmit]
         self.rig = rig
@@ -229,7 +231,7 @@ class Echoes:
         points, ends = points[heard], ends[heard]
         self.leading_s, self.trailing_s = ends[:, 0], ends[:, 1]
         strengths = np.array([strength for _, strength in rig.points])[heard]
-        self.amplitude = strengths * self.levels(motion, array, transmitter, np.asarray(body_m, float), points)
+        self.amplitude = strengths * self.levels(motion, array, transmitter, (np.asarray(body_m, float), normal_deg), points)
 
         flank = flank_s(rig)
         inner = [t for t in (flank, rig.duration_s - flank) if 0 < t < rig.duration_s]
@@ -251,15 +253,17 @@ class Echoes:
         basis = np.cos(np.pi * k[:, None] * (k + 0.5) / CHEBYSHEV) * np.where(k == 0, 1, 2)[:, None] / CHEBYSHEV
         self.series = values @ basis.T
 
-    def levels(self, motion, array, transmitter, body_m, points):
+    def levels(self, motion, array, transmitter, place, points):
         """A / strength: spreading and patterns of both legs, at the leading edge."""
+        body_m, normal_deg = place
         wavelength = self.rig.sound_speed_m_per_s / self.rig.center_frequency_hz
         level = np.full(len(points), 10 ** (array.level_db / 20))
-        for mounted, place, t in ((transmitter, transmitter.position_m, np.zeros(len(points))), (array, body_m, self.leading_s)):
+        sent_s = np.zeros(len(points))
+        for mounted, at_m, turn_deg, t in ((transmitter, transmitter.position_m, 0.0, sent_s), (array, body_m, normal_deg, self.leading_s)):
             position, matrix = motion.pose(t)
-            rays = points - (position + matrix @ place)
+            rays = points - (position + matrix @ at_m)
             ranges = length(rays)
-            axes = matrix @ rotation(*mounted.roll_pitch_yaw_deg)
+            axes = matrix @ rotation(*mounted.roll_pitch_yaw_deg) @ rotation(0.0, turn_deg, 0.0)
             local = np.einsum("nij,ni->nj", axes, rays / ranges[:, None])
             level = level * mounted.pattern.towards(local, wavelength) / np.maximum(ranges, wavelength)
         return level
@@ -331,11 +335,11 @@ def filtered(echoes, h, fs, first_s, count):
     return out[3 * reach:3 * reach + count]
 
 
-def element_record(rig, motion, array, body_m, fs, first_s, count):
-    """Samples of one element, and the mask of samples on an edge of a pulse (none behind a filter)."""
+def element_record(rig, motion, array, place, fs, first_s, count):
+    """Samples of one element (`place` as of Echoes), and the mask of samples on an edge of a pulse (none behind a filter)."""
     h = Filter(rig, fs) if rig.filtered else None
     tail_s = h.half_s + 2 / fs if h else 0.0
-    echoes = Echoes(rig, motion, array, body_m, first_s + count / fs + tail_s)
+    echoes = Echoes(rig, motion, array, place, first_s + count / fs + tail_s)
     if h:
         return filtered(echoes, h, fs, first_s, count), np.zeros(count, bool)
     return sampled(echoes, fs, first_s, count), on_edges(echoes, fs, first_s, count)

@@ -124,7 +124,18 @@ def draw_pattern(rng, wavelength, spacing, side, directive):
             "baffled = %s" % str(bool(rng.random() < 0.5)).lower()]
 
 
-def draw_rig(rng, folder, engine):
+def bend(rng, text):
+    """The text of a line array, or that of an arc of up to half a circle."""
+    table = dict(line.split(" = ") for line in text.splitlines() if " = " in line)
+    elements = int(table["elements"])
+    if elements < 3:
+        return text
+    along_m = (elements - 1) * float(table["spacing_m"])
+    radius_m = along_m / rng.uniform(0.2, 3.1)
+    return text.replace("baffled = true", "baffled = false") + "\nradius_m = %.6f" % radius_m
+
+
+def draw_rig(rng, folder, engine, arcs=False):
     """Writes rig.toml, points.csv and track.csv; returns a description."""
     c, carrier = round(rng.uniform(1450, 1530), 1), round(log_uniform(rng, 30, 450), 2)
     wavelength = c / carrier / 1e3
@@ -149,6 +160,8 @@ def draw_rig(rng, folder, engine):
             *(["spacing_m = %.6f" % spacing] if lines else []), "position_m = %s" % at, "sensitivity_db = 0.0",
             "roll_deg = %.1f" % rng.choice([0, 60, -60]), "yaw_deg = %.1f" % rng.choice([0, 90]),
             *draw_pattern(rng, wavelength, spacing if lines else None, "element_", directive)]))
+    if arcs:
+        arrays = [bend(rng, text) for text in arrays]
     transmit = draw_pattern(rng, wavelength, None, "", directive)
     motion, track, places = draw_track(rng)
     # The reference takes a microsecond for each dense point of each echo at each element.
@@ -396,7 +409,7 @@ def drawn(options, base, k):
     """Draws rig k and compares it. Runs in a process of its own with --jobs."""
     folder = base / ("%s-%d-%d" % (options.engine, options.seed, k))
     folder.mkdir(parents=True, exist_ok=True)
-    note = draw_rig(np.random.default_rng([options.seed, k]), folder, options.engine)
+    note = draw_rig(np.random.default_rng([options.seed, k]), folder, options.engine, options.arcs)
     return rows_of(options, "%d-%d" % (options.seed, k), folder / "rig.toml", note)
 
 
@@ -406,6 +419,7 @@ def main(arguments=None):
     parser.add_argument("--rigs", type=int, default=20, metavar="N")
     parser.add_argument("--seed", type=int, default=1, metavar="S")
     parser.add_argument("--engine", choices=ENGINES, default="auto", help="synthesis of all rigs (default auto)")
+    parser.add_argument("--arcs", action="store_true", help="bend every array of three elements and more to an arc")
     parser.add_argument("--only", type=int, metavar="K", help="only this rig of the seed")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="rigs at a time, each in a process of its own (default 1)")
     parser.add_argument("--json", metavar="FILE", help="write the summary and all rows as one JSON file")

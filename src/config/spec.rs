@@ -1493,6 +1493,8 @@ pub struct FanForm {
     pub f_number: Option<f64>,
     /// Maximum carrier phase error at the ends of a focal zone with `dynamic-focus`, radians.
     pub focus_error_rad: f64,
+    /// Of an arc: angle between the normals of the outermost elements that a beam uses, radians.
+    pub aperture_rad: f64,
     /// True if the bottom is detected in every beam.
     pub bottom_detection: bool,
 }
@@ -1506,6 +1508,7 @@ impl Default for FanForm {
             roll_stabilised: false,
             f_number: None,
             focus_error_rad: 0.1,
+            aperture_rad: 80f64.to_radians(),
             bottom_detection: false,
         }
     }

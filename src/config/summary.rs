@@ -399,7 +399,7 @@ fn pattern(pattern: &Pattern, wavelength_m: f64) -> String {
 }
 
 fn aperture_m(array: &ArrayGeometry) -> f64 {
-    array.elements as f64 * array.spacing_m
+    array.length_m()
 }
 
 fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::Result {
@@ -409,8 +409,12 @@ fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::
         line(out, "  transmit", &text)?;
     }
     for (name, array) in sonar.receive_names.iter().zip(&sonar.receive) {
+        let arc = array.radius_m.map_or(String::new(), |radius_m| {
+            let degrees = 2.0 * array.half_arc_rad().to_degrees();
+            format!(" on an arc of {degrees:.0} deg, radius {radius_m} m,")
+        });
         let text = format!(
-            "{name}: {} elements every {:.2} mm ({:.2} wavelengths), together {:.2} deg, each {}",
+            "{name}: {} elements{arc} every {:.2} mm ({:.2} wavelengths), together {:.2} deg, each {}",
             array.elements,
             array.spacing_m * 1e3,
             array.spacing_m / wavelength_m,

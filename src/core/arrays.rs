@@ -1,5 +1,7 @@
 //! Transmit and receive arrays, their patterns, and the receiver.
 
+use std::f64::consts::FRAC_PI_2;
+
 use glam::DQuat;
 use glam::DVec3;
 
@@ -55,16 +57,19 @@ pub struct TransmitArray {
     pub level_offset_db: f64,
 }
 
-/// One receive array: a uniform line of equal elements along the array's x axis, centred on the mounting.
+/// One receive array: equal elements, evenly spaced on a straight line along the array's x axis or on an arc in the plane of its x and z axes, centred on
+/// the mounting.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArrayGeometry {
     /// Position and orientation in the body.
     pub mounting: Mounting,
     /// Number of elements.
     pub elements: usize,
-    /// Element spacing along x, metres.
+    /// Element spacing along the line or arc, metres.
     pub spacing_m: f64,
-    /// Directional response of one element.
+    /// Radius of the arc, metres; `None` for a straight line. The arc bulges towards the boresight, and each element looks along its own normal.
+    pub radius_m: Option<f64>,
+    /// Directional response of one element, in its own axes.
     pub element_pattern: Pattern,
     /// Receive sensitivity, dB re 1 V/uPa.
     pub sensitivity_db: f64,
@@ -99,7 +104,7 @@ impl ArrayGeometry {
         let [transmit_m, _] = transmit.pattern.sides_m();
         let axis = |mounting: &Mounting| mounting.body_from_array * DVec3::X;
         let common = axis(&transmit.mounting).dot(axis(&self.mounting)).abs();
-        let receive_m = self.elements as f64 * self.spacing_m;
+        let receive_m = self.length_m();
         let sides_m = match common > ALONG || transmit_m == 0.0 {
             true => [transmit_m.max(receive_m), 0.0],
             false => [transmit_m, receive_m],
@@ -107,14 +112,84 @@ impl ArrayGeometry {
         sides_m.map(|side_m| (BEAM_WIDTH * wavelength_m / side_m).min(1.0))
     }
 
-    /// Position of element `e` along the array's x axis, metres.
-    pub fn element_x_m(&self, e: usize) -> f64 {
+    /// Position of element `e` along the line or arc from its centre, metres.
+    pub fn along_m(&self, e: usize) -> f64 {
         (e as f64 - (self.elements as f64 - 1.0) / 2.0) * self.spacing_m
     }
+
+    /// Length of the array along its x axis with its outermost elements whole, metres; of an arc, that of its chord.
+    pub fn length_m(&self) -> f64 {
+        let along_m = self.elements as f64 * self.spacing_m;
+        match self.radius_m {
+            None => along_m,
+            Some(radius_m) => 2.0 * radius_m * libm::sin((0.5 * along_m / radius_m).min(FRAC_PI_2)),
+        }
+    }
+
+    /// Angle from the boresight to the normal of the outermost elements, radians; 0 for a line.
+    pub fn half_arc_rad(&self) -> f64 {
+        let along_m = self.along_m(self.elements.max(1) - 1);
+        self.radius_m.map_or(0.0, |radius_m| along_m / radius_m)
+    }
+
+    /// The place `along_m` from the centre along the line or arc: position and rotation in array axes.
+    fn place(&self, along_m: f64) -> (DVec3, DQuat) {
+        let Some(radius_m) = self.radius_m else {
+            return (DVec3::new(along_m, 0.0, 0.0), DQuat::IDENTITY);
+        };
+        let (sin, cos) = libm::sincos(0.5 * along_m / radius_m);
+        (
+            // R sin(2x) and R (1 - cos(2x)), without cancellation.
+            2.0 * radius_m * sin * DVec3::new(cos, 0.0, -sin),
+            DQuat::from_xyzw(0.0, sin, 0.0, cos),
+        )
+    }
+
+    /// Position and orientation in the body of the point `along_m` from the centre along the line or arc.
+    pub fn mounting_at(&self, along_m: f64) -> Mounting {
+        let Mounting {
+            position_m,
+            body_from_array,
+        } = self.mounting;
+        let (place_m, turn) = self.place(along_m);
+        Mounting {
+            position_m: position_m + body_from_array * place_m,
+            body_from_array: match self.radius_m {
+                None => body_from_array,
+                Some(_) => body_from_array * turn,
+            },
+        }
+    }
+
+    /// Position and orientation of element `e` in the body.
+    pub fn element_mounting(&self, e: usize) -> Mounting {
+        self.mounting_at(self.along_m(e))
+    }
+
+    /// Position of element `e` in array axes, metres.
+    pub fn element_m(&self, e: usize) -> DVec3 {
+        self.place(self.along_m(e)).0
+    }
+
     /// Position of element `e` in body axes, metres.
     pub fn element_body_m(&self, e: usize) -> DVec3 {
-        self.mounting.position_m
-            + self.mounting.body_from_array * DVec3::new(self.element_x_m(e), 0.0, 0.0)
+        self.element_mounting(e).position_m
+    }
+
+    /// Elements that bound the array: the first and the last, and between them the middle one of an arc. Those of a small array may be the same.
+    pub fn outermost(&self) -> impl Iterator<Item = usize> + Clone + use<> {
+        let middle = self.radius_m.map(|_| self.elements / 2);
+        [Some(0), middle, Some(self.elements.max(1) - 1)]
+            .into_iter()
+            .flatten()
+    }
+
+    /// Response in array axes that no element exceeds: the elements of an arc look in many directions.
+    pub fn envelope_pattern(&self) -> Pattern {
+        match self.radius_m {
+            None => self.element_pattern,
+            Some(_) => Pattern::Omnidirectional,
+        }
     }
 }
 
@@ -162,4 +237,68 @@ pub struct Receiver {
     pub full_scale_v: f64,
     /// Seed of the noise.
     pub seed: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn array(elements: usize, spacing_m: f64, radius_m: Option<f64>) -> ArrayGeometry {
+        ArrayGeometry {
+            mounting: Mounting {
+                position_m: DVec3::new(1.0, -2.0, 0.5),
+                body_from_array: DQuat::from_rotation_z(0.3),
+            },
+            elements,
+            spacing_m,
+            radius_m,
+            element_pattern: Pattern::Omnidirectional,
+            sensitivity_db: -190.0,
+            transmit: 0,
+        }
+    }
+
+    #[test]
+    fn elements_of_an_arc_lie_on_a_circle_and_look_away_from_its_centre() {
+        let (elements, spacing_m, radius_m) = (31, 0.01, 0.12);
+        let arc = array(elements, spacing_m, Some(radius_m));
+        let Mounting {
+            position_m,
+            body_from_array,
+        } = arc.mounting;
+        let centre_m = position_m - body_from_array * DVec3::Z * radius_m;
+        for e in 0..elements {
+            let own = arc.element_mounting(e);
+            let out_m = own.position_m - centre_m;
+            assert!((out_m.length() - radius_m).abs() < 1e-15);
+            let normal = own.body_from_array * DVec3::Z;
+            assert!((normal * radius_m).distance(out_m) < 1e-15);
+            // Its axis lies along the arc, towards the next element.
+            if e > 0 {
+                let step_m = own.position_m - arc.element_body_m(e - 1);
+                let chord_m = 2.0 * radius_m * (0.5 * spacing_m / radius_m).sin();
+                assert!((step_m.length() - chord_m).abs() < 1e-15);
+                assert!(step_m.dot(own.body_from_array * DVec3::X) > 0.99 * chord_m);
+            }
+            assert!(arc.element_m(e).y == 0.0);
+        }
+        assert_eq!(arc.element_body_m(15), position_m);
+        let ends = [0, elements - 1].map(|e| arc.element_body_m(e));
+        assert!(ends[0].distance(ends[1]) < arc.length_m() && arc.length_m() < 0.31);
+        assert!((arc.half_arc_rad() - 0.15 / 0.12).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_wide_arc_is_a_line() {
+        let (line, arc) = (array(24, 0.01, None), array(24, 0.01, Some(1e7)));
+        for e in 0..24 {
+            let [a, b] = [&line, &arc].map(|array| array.element_mounting(e));
+            assert!(a.position_m.distance(b.position_m) < 1e-8);
+            assert!(a.body_from_array.angle_between(b.body_from_array) < 1e-7);
+        }
+        assert_eq!(line.half_arc_rad(), 0.0);
+        assert!((line.length_m() - arc.length_m()).abs() < 1e-9);
+        assert_eq!(line.outermost().collect::<Vec<_>>(), [0, 23]);
+        assert_eq!(arc.outermost().collect::<Vec<_>>(), [0, 12, 23]);
+    }
 }

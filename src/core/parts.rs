@@ -14,8 +14,8 @@ impl Pattern {
 }
 
 impl ArrayGeometry {
-    /// The line array with every `of` elements combined into one. `None` if `of` does not divide the number of elements or the line
-    /// is already in parts.
+    /// The line array with every `of` elements combined into one. `None` if `of` does not divide the number of elements, if the line
+    /// is already in parts, and on an arc.
     pub fn in_parts(&self, of: usize) -> Option<Self> {
         let (length_m, width_m, baffled) = match self.element_pattern {
             Pattern::Omnidirectional => (0.0, 0.0, false),
@@ -26,7 +26,7 @@ impl ArrayGeometry {
             } => (length_m, width_m, baffled),
             Pattern::Part { .. } => return None,
         };
-        if of < 2 || !self.elements.is_multiple_of(of) {
+        if of < 2 || !self.elements.is_multiple_of(of) || self.radius_m.is_some() {
             return None;
         }
         Some(Self {
@@ -93,6 +93,7 @@ mod tests {
             },
             elements: 24,
             spacing_m: 0.0125,
+            radius_m: None,
             element_pattern: Pattern::Rectangle {
                 length_m: 0.01,
                 width_m: 0.02,

@@ -26,14 +26,14 @@ pub(crate) fn segment_step_s(window_s: f64, segment_s: f64) -> f64 {
     }
 }
 
-/// The worst of every transmitter and of both ends of every line.
+/// The worst of every transmitter and of both ends of every line, and of the middle of an arc.
 pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Conditions {
     let rate_hz = spec.receiver.sample_rate_hz;
     let step_s = plan.window_s(rate_hz) / INSTANTS as f64;
     let ends = spec
         .receive
         .iter()
-        .flat_map(|array| [0, array.elements - 1].map(|e| array.element_body_m(e)));
+        .flat_map(|array| array.outermost().map(|e| array.element_body_m(e)));
     let arms: Vec<DVec3> = spec
         .transmit
         .iter()
@@ -77,9 +77,13 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         let [first, last] = [0, array.elements - 1].map(|e| pose.point_m(array.element_body_m(e)));
         let line = last - first;
         let square = line.length_squared().max(f64::MIN_POSITIVE);
+        // An arc is this far off its chord, at most.
+        let bulge_m = pose
+            .point_m(array.mounting.position_m)
+            .distance(0.5 * (first + last));
         for from_first in places.clone().map(|place| place_m(place) - first) {
             let along = (from_first.dot(line) / square).clamp(0.0, 1.0);
-            nearest_m = nearest_m.min((from_first - line * along).length());
+            nearest_m = nearest_m.min((from_first - line * along).length() - bulge_m);
         }
     }
     // What lies beyond the window is not heard; what is nearer than a wavelength is no far field of anything.

@@ -96,7 +96,12 @@ impl PulseEngines {
 
 /// Whether `gridded-lines` makes this array.
 pub(crate) fn is_line(array: &ArrayGeometry) -> bool {
-    array.elements > 1 && !matches!(array.element_pattern, Pattern::Part { .. })
+    let fits = match array.element_pattern {
+        Pattern::Omnidirectional => true,
+        Pattern::Rectangle { baffled, .. } => !(baffled && array.radius_m.is_some()),
+        Pattern::Part { .. } => false,
+    };
+    array.elements > 1 && fits
 }
 
 /// What all engines of a sonar have in common.

@@ -5,6 +5,8 @@
 //! spreading of every scatterer in the ping. A target counts within the main lobe of transmitter and beam together ([`MAIN_LOBE_DB`]). The
 //! ground is that of the plane normal to the transmitter's axis. Each ground point belongs to the nearest beam.
 
+use std::f64::consts::TAU;
+
 use glam::DVec3;
 
 use super::line_truth::{
@@ -12,6 +14,7 @@ use super::line_truth::{
 };
 use crate::rig::{PingSlot, Rig};
 use echotank_config::spec::{FanSpec, SonarSpec};
+use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{BeamFrame, LineTruth, Side};
 use echotank_core::scene::Scatterers;
 use echotank_imaging::beam::weights;
@@ -57,34 +60,56 @@ struct FanGeometry<'a> {
     motion: Motion,
 }
 
-/// |sum_e w_e exp(j 2pi e d s)|^2 for the sine offset s, tabulated over one period.
+/// |sum_e w_e exp(j 2pi e d s)|^2 for the sine offset s, tabulated over one period; of an arc, of a whole aperture by the angle from the beam.
 struct ArrayFactor {
-    spacing: f64,
+    /// Spacing of a line, wavelengths; `None` for an arc, whose table is by angle from the beam over a full turn.
+    spacing: Option<f64>,
     power: Vec<f64>,
 }
 
 impl ArrayFactor {
-    fn new(fan: &FanSpec, elements: usize, spacing_wavelengths: f64) -> Self {
+    fn new(fan: &FanSpec, array: &ArrayGeometry, wavelength_m: f64) -> Self {
+        let elements = match array.radius_m {
+            None => array.elements,
+            // Those of a whole aperture.
+            Some(radius_m) => (fan.form.aperture_rad * radius_m / array.spacing_m) as usize + 1,
+        };
         let mut weights = vec![0.0; elements];
         weights::fill(fan.shading, &mut weights);
         let sum: f64 = weights.iter().sum();
+        let phase_rad = |turn: f64, e: usize| match array.radius_m {
+            None => turn * e as f64,
+            Some(radius_m) => {
+                let normal = (e as f64 - 0.5 * (elements - 1) as f64) * array.spacing_m / radius_m;
+                let late_m = radius_m * ((normal - turn).cos() - normal.cos());
+                TAU * late_m / wavelength_m
+            }
+        };
         let power = (0..FACTOR_STEPS).map(|i| {
-            let turn = std::f64::consts::TAU * i as f64 / FACTOR_STEPS as f64;
+            let turn = TAU * i as f64 / FACTOR_STEPS as f64;
             let parts = weights.iter().enumerate().map(|(e, w)| {
-                let (sin, cos) = (turn * e as f64).sin_cos();
+                let (sin, cos) = phase_rad(turn, e).sin_cos();
                 (w * cos, w * sin)
             });
             let (re, im) = parts.fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
             (re * re + im * im) / (sum * sum)
         });
         Self {
-            spacing: spacing_wavelengths,
+            spacing: match array.radius_m {
+                None => Some(array.spacing_m / wavelength_m),
+                Some(_) => None,
+            },
             power: power.collect(),
         }
     }
 
-    fn power(&self, sine: f64) -> f64 {
-        let position = (self.spacing * sine).rem_euclid(1.0) * FACTOR_STEPS as f64;
+    /// Power of a beam for an echo from `direction` in array axes.
+    fn power(&self, direction: DVec3, beam_sine: f64) -> f64 {
+        let turns = match self.spacing {
+            Some(spacing) => spacing * (direction.x - beam_sine),
+            None => (direction.x.atan2(direction.z) - beam_sine.asin()) / TAU,
+        };
+        let position = turns.rem_euclid(1.0) * FACTOR_STEPS as f64;
         self.power[position.round() as usize % FACTOR_STEPS]
     }
 }
@@ -116,7 +141,7 @@ impl FanGeometry<'_> {
         let sent = Directivity::new(&transmit.pattern, wavelength_m);
         let received = Directivity::new(&array.element_pattern, wavelength_m);
         let transmitter = Face::new(self.motion.at(0.0), &transmit.mounting, &sent);
-        let factor = ArrayFactor::new(self.fan, array.elements, array.spacing_m / wavelength_m);
+        let factor = ArrayFactor::new(self.fan, array, wavelength_m);
         let lobe = 10f64.powf(MAIN_LOBE_DB / 10.0);
         let half = half_cell(plan, rate_hz);
         let sines = self.sines();
@@ -132,7 +157,12 @@ impl FanGeometry<'_> {
                 let (out_m, _, sent, sent_middle) = transmitter.towards(at_m);
                 let pose = self.motion.at(2.0 * out_m / c);
                 let receiver = Face::new(pose, &array.mounting, &received);
-                let (back_m, w, received, _) = receiver.towards(at_m);
+                let (back_m, w, received, received_middle) = receiver.towards(at_m);
+                // The elements in use on an arc look along their beam.
+                let received = match array.radius_m {
+                    None => received,
+                    Some(_) => received_middle,
+                };
                 let law = law_of(scatterers, i, &transmitter, &receiver.at_m);
                 let amplitude = sent * received * law / (out_m * back_m);
                 let energy = amplitude * amplitude * scatterers.strength[i].norm_sqr();
@@ -144,7 +174,7 @@ impl FanGeometry<'_> {
                 let (from, to) = (k.saturating_sub(half), (k + half + 1).min(samples));
                 let sent_share = (sent / sent_middle).powi(2);
                 for (b, sine) in sines.iter().enumerate() {
-                    let share = factor.power(w.x - sine);
+                    let share = factor.power(w, *sine);
                     if share < MIN_SHARE {
                         continue;
                     }

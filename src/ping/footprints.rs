@@ -44,8 +44,9 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
             margin: MotionMargin::default(),
             bend,
         };
+        let element_pattern = array.envelope_pattern();
         let of_element = Radiator {
-            pattern: &array.element_pattern,
+            pattern: &element_pattern,
             mounting: &array.mounting,
             margin: at_reception,
             bend,

@@ -526,7 +526,7 @@ impl Ear {
         let from_world = |of: DQuat| DMat3::from_quat((pose.world_from_body * of).inverse());
         Self {
             sent: Directivity::new(&transmit.pattern, wavelength_m),
-            received: Directivity::new(&array.element_pattern, wavelength_m),
+            received: Directivity::new(&array.envelope_pattern(), wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             transmit_from_world: from_world(transmit.mounting.body_from_array),
             array_from_world: from_world(array.mounting.body_from_array),

@@ -204,6 +204,6 @@ pub(crate) fn refraction_error(spec: &SonarSpec, plan: &PingPlan, scatterers: &S
     let receive = &mut spec
         .receive
         .iter()
-        .flat_map(|array| [0, array.elements - 1].map(|e| array.element_body_m(e)));
+        .flat_map(|array| array.outermost().map(|e| array.element_body_m(e)));
     Conditions::error_of_phase(leg(transmit, DVec3::ZERO) + leg(receive, moved_m))
 }

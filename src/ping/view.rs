@@ -33,7 +33,7 @@ pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
             .angle_between(array.mounting.body_from_array);
         let transmit_face = face(&transmit.pattern);
         let receive_face = match apart_rad < PARALLEL_RAD {
-            true => face(&array.element_pattern),
+            true => face(&array.envelope_pattern()),
             false => (0.0, 0.0, false),
         };
         Beam {

@@ -68,7 +68,7 @@ fn aperture(sonar: &SonarSpec, wavelength_m: f64) -> VolumeAperture {
         let transmit = &sonar.transmit[array.transmit];
         let [sent_m, _] = transmit.pattern.sides_m();
         let sent = transmit.mounting.body_from_array * DVec3::X * sent_m;
-        let own_m = array.elements as f64 * array.spacing_m;
+        let own_m = array.length_m();
         let element_m = array.element_pattern.sides_m()[0];
         let along = turn * DVec3::X;
         let length_m = own_m.max(element_m).max(sent.dot(along).abs());

@@ -114,6 +114,7 @@ pub fn line(position_m: DVec3, elements: usize) -> ArrayGeometry {
         mounting: mounting(position_m),
         elements,
         spacing_m: WAVELENGTH_M / 2.0,
+        radius_m: None,
         element_pattern: Pattern::Omnidirectional,
         sensitivity_db: 0.0,
         transmit: 0,

@@ -53,6 +53,7 @@ fn array(elements: usize, roll_rad: f64, yaw_rad: f64) -> ArrayGeometry {
         },
         elements,
         spacing_m: 0.01,
+        radius_m: None,
         element_pattern: Pattern::Omnidirectional,
         sensitivity_db: -200.0,
         transmit: 0,

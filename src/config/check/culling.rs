@@ -42,6 +42,7 @@ fn floor(
     share: f64,
 ) -> f64 {
     let (sin, cos) = libm::sincos(incidence_rad);
+    let element_pattern = array.envelope_pattern();
     let mut levels: Vec<f64> = (0..AZIMUTHS)
         .map(|k| {
             let (east, north) = libm::sincos(std::f64::consts::TAU * k as f64 / AZIMUTHS as f64);
@@ -49,7 +50,7 @@ fn floor(
             let out = transmit.mounting.body_from_array.inverse() * ray;
             let back = array.mounting.body_from_array.inverse() * ray;
             let out = response(&transmit.pattern, wavelength_m, out);
-            (out * response(&array.element_pattern, wavelength_m, back)).abs()
+            (out * response(&element_pattern, wavelength_m, back)).abs()
         })
         .collect();
     levels.sort_unstable_by(f64::total_cmp);

@@ -207,9 +207,10 @@ fn ring(sonar: &SonarSpec, c: f64, cosine: f64, r: f64, step_m: f64) -> Ring {
         .map(|(array, transmit)| {
             let cell = cell(sonar, sonar.pulse.duration_s, array, transmit, c);
             let on_ring = SCATTERERS_PER_CELL * TAU / cell.beam_rad;
+            let element_pattern = array.envelope_pattern();
             let legs = [
                 (&transmit.mounting, &transmit.pattern),
-                (&array.mounting, &array.element_pattern),
+                (&array.mounting, &element_pattern),
             ];
             let two_way = |ray: DVec3, of: fn(&Pattern, f64, DVec3) -> f64| {
                 let leg = |(mounting, pattern): (&Mounting, &Pattern)| {

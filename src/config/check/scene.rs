@@ -287,7 +287,7 @@ impl Rig<'_> {
             let pairs = sonar.receive.iter().map(|array| {
                 let transmit = &sonar.transmit[array.transmit];
                 let sent = knee(&transmit.pattern, wavelength_m);
-                let heard = knee(&array.element_pattern, wavelength_m);
+                let heard = knee(&array.envelope_pattern(), wavelength_m);
                 let sine = match along(&transmit.mounting, &array.mounting) > PARALLEL {
                     true => two_way_sine(sent, heard, depth),
                     false => sent * depth,

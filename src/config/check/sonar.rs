@@ -1,6 +1,6 @@
 //! Checks one `[[sonar]]` table.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::net::IpAddr;
 
 use glam::DVec3;
@@ -429,14 +429,54 @@ fn receive(
             None
         }
     };
-    Some(ArrayGeometry {
+    let radius_m = match table.radius_m.given {
+        true => Some(table.radius_m.get()?),
+        false => None,
+    };
+    let element_pattern = match (radius_m, element_pattern?) {
+        (
+            Some(_),
+            Pattern::Rectangle {
+                length_m, width_m, ..
+            },
+        ) => Pattern::Rectangle {
+            length_m,
+            width_m,
+            baffled: false,
+        },
+        (_, pattern) => pattern,
+    };
+    let array = ArrayGeometry {
         mounting: mounting(&table.position_m, angles)?,
         elements: elements?,
         spacing_m: spacing_m?,
-        element_pattern: element_pattern?,
+        radius_m,
+        element_pattern,
         sensitivity_db: table.sensitivity_db.get()?,
         transmit: transmit?,
-    })
+    };
+    if radius_m.is_some() {
+        arc(table, &array, problems);
+    }
+    Some(array)
+}
+
+/// What holds for an arc.
+fn arc(table: &keys::Receive, array: &ArrayGeometry, problems: &mut Problems) {
+    if array.elements < 2 {
+        problems.refuse(&table.radius_m, "needs more than one element");
+    }
+    if array.half_arc_rad() > FRAC_PI_2 {
+        let along_m = 2.0 * array.along_m(array.elements - 1);
+        let least_m = along_m / PI;
+        let rule = format!(
+            "must be at least {least_m:.6}: {along_m:.6} m of elements lie on half a circle at most"
+        );
+        problems.refuse(&table.radius_m, rule);
+    }
+    if table.baffled.given && table.baffled.get() == Some(true) {
+        problems.refuse(&table.baffled, "must be false on an arc (radius_m)");
+    }
 }
 
 // ---------------------------------------------------------------- receiver
@@ -746,6 +786,10 @@ fn beams(table: &keys::Beams, arrays: &Arrays<'_>, problems: &mut Problems) -> O
             continue;
         }
         let array = arrays.named(key, problems);
+        let spec = array.and_then(|a| arrays.specs.get(a)?.as_ref());
+        if spec.is_some_and(|s| s.radius_m.is_some()) {
+            problems.refuse(key, "must be a straight line: an array without radius_m");
+        }
         let looks_across = array
             .and_then(|a| arrays.body_from_array(a))
             .map(|r| sign * (r * DVec3::Z).y);
@@ -814,6 +858,23 @@ fn fan(table: &keys::Fan, arrays: &Arrays<'_>, problems: &mut Problems) -> Optio
     if spec.is_some_and(|s| s.elements < 2) {
         problems.refuse(&table.array, "must be an array of at least two elements");
     }
+    let is_arc = spec.is_some_and(|s| s.radius_m.is_some());
+    if is_arc && (table.former.is("exact") == Some(true) || table.former.is("fft") == Some(true)) {
+        let rule = "must be \"conventional\", \"phase\" or \"dynamic-focus\" for an arc (radius_m)";
+        problems.refuse(&table.former, rule);
+    }
+    if is_arc && table.f_number.given {
+        problems.refuse(
+            &table.f_number,
+            "must be left out for an arc (radius_m): its beams have aperture_deg",
+        );
+    }
+    if spec.is_some() && !is_arc && table.aperture_deg.given {
+        problems.refuse(
+            &table.aperture_deg,
+            "needs an arc: a receive array with radius_m",
+        );
+    }
     let line = spec.map(|s| s.mounting.body_from_array * DVec3::X);
     if line.is_some_and(|x| x.y < MIN_ACROSS && x.x < MIN_ALONG) {
         let rule = "must be an array across the track whose +x end points to starboard (yaw_deg = 90), or one that lies fore and aft (yaw_deg = 0)";
@@ -842,6 +903,7 @@ fn fan(table: &keys::Fan, arrays: &Arrays<'_>, problems: &mut Problems) -> Optio
             roll_stabilised,
             f_number: table.f_number.if_given()?,
             focus_error_rad: table.focus_error_deg.get()?,
+            aperture_rad: table.aperture_deg.get()?,
             bottom_detection: table.bottom_detection.get()?,
         },
     })

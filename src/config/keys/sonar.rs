@@ -101,8 +101,8 @@ table! {
 }
 
 table! {
-    /// One receive array: equal elements in a line along its x axis, centred on position_m. Angles are as for transmit. yaw_deg = 90 lays the line
-    /// across the track, with its +x end to starboard.
+    /// One receive array: equal elements in a line along its x axis, or on an arc, centred on position_m. Angles are as for transmit. yaw_deg = 90 lays
+    /// the line across the track, with its +x end to starboard.
     Receive, later "element_errors", "dead_elements";
     name: Name, Required("\"rx\"");
 
@@ -112,6 +112,10 @@ table! {
 
     /// Centre to centre. Needed for more than one element.
     spacing_m: Number(above(0.0, 100.0)), Shown("0.00375");
+
+    /// Radius of an arc that bulges towards the boresight; each element looks along its own normal. spacing_m counts along the arc, of half a circle at
+    /// most. Default: a straight line.
+    radius_m: Number(above(0.0, 100.0)), Optional("0.21");
     position_m: Vector(ARM_M), Default("[0.0, 0.0, 0.0]");
     roll_deg: Degrees(ANGLE_DEG), Default("0.0");
     pitch_deg: Degrees(ANGLE_DEG), Default("0.0");
@@ -127,7 +131,7 @@ table! {
     /// Across the line.
     element_width_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "auto" or "rectangle";
 
-    /// No reception from the back.
+    /// No reception from the back. Elements on an arc have none: leave the key out there, or set it to false.
     baffled: Bool, Default("true"), only with element_pattern = "auto" or "rectangle";
 
     /// dB re 1 V/uPa. With 0 the volts are micropascals.
@@ -369,7 +373,11 @@ table! {
 
     /// "exact": far field in f64 at every frequency. "fft": the same with FFTs in f32, fastest for many elements. "conventional": far field with
     /// time delays, f32. "phase": far field with phases, f32. "dynamic-focus": focused along range with the receiver's motion, f32.
+    /// An arc needs one of the last three.
     former: Choice("exact", "fft", "conventional", "phase", "dynamic-focus"), Default("\"exact\"");
+
+    /// Of an arc: each beam uses the elements whose normals lie within half of this of its direction, and shading is along them.
+    aperture_deg: Degrees(from(1.0, 180.0)), Default("80.0");
 
     /// A sounding for each beam, from amplitude or from the phase between the two halves of the line.
     bottom_detection: Bool, Default("false");

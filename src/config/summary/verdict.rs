@@ -176,8 +176,13 @@ fn grating(sonar: &SonarSpec, c: f64) -> Option<Finding> {
     let fan = sonar.beams.fan.as_ref()?;
     let wavelength_m = c / sonar.pulse.center_frequency_hz;
     let array = &sonar.receive[fan.array];
-    // d (1 + sin of the outermost beam) < lambda keeps the first grating lobe outside the visible region.
-    let reach = 1.0 + (fan.sector_rad / 2.0).sin();
+    // d (1 + sin of the outermost beam) < lambda keeps the first grating lobe outside the visible region. On an arc the outermost elements of a beam
+    // look past it by half the aperture.
+    let outermost_rad = match array.radius_m {
+        None => fan.sector_rad / 2.0,
+        Some(_) => fan.form.aperture_rad / 2.0,
+    };
+    let reach = 1.0 + outermost_rad.sin();
     (array.spacing_m * reach > wavelength_m).then(|| Finding {
         kind: FindingKind::GratingLobes,
         text: format!(

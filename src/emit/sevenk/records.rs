@@ -536,7 +536,7 @@ impl DeviceSheet {
         }
         let array = self.sonar.beams.lines.first().map_or(0, |line| line.array);
         self.sonar.receive.get(array).map_or(0.0, |array| {
-            let length_m = array.elements as f64 * array.spacing_m;
+            let length_m = array.length_m();
             line_width_rad(length_m, View::of_plan(plan).wavelength_m(), true)
         })
     }
@@ -710,9 +710,12 @@ fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
                     .map(|&a| sonar.receive[a].elements)
                     .sum()
             });
+        let radius = array.radius_m.map_or(String::new(), |radius_m| {
+            format!(" radius_m=\"{radius_m}\"")
+        });
         let column = first.map_or(String::new(), |n| format!(" first_element_7038=\"{n}\""));
         line(format_args!(
-            "  <receive name=\"{}\" elements=\"{}\" spacing_m=\"{}\" sensitivity_db=\"{}\"{column} {}/>",
+            "  <receive name=\"{}\" elements=\"{}\" spacing_m=\"{}\"{radius} sensitivity_db=\"{}\"{column} {}/>",
             escaped(name),
             array.elements,
             array.spacing_m,

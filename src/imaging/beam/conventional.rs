@@ -283,7 +283,7 @@ mod tests {
         /// Echo of the pulse from `sine` (array axes) whose leading edge arrives at the array's centre at `edge_s`.
         fn echo(&self, sine: f64, edge_s: f64) -> ElementFrame {
             elements_of_plane_wave(&self.array, self.rate_hz, self.samples, |e| {
-                let delay = edge_s - self.array.element_x_m(e) * sine / C;
+                let delay = edge_s - self.array.along_m(e) * sine / C;
                 (self.pulse, delay)
             })
         }
@@ -491,7 +491,7 @@ mod tests {
                 let t = k as f64 / rig.rate_hz;
                 let want: Complex64 = (0..12)
                     .map(|e| {
-                        let shift = rig.array.element_x_m(e) * (sine - angle.sin()) / C;
+                        let shift = rig.array.along_m(e) * (sine - angle.sin()) / C;
                         let delay = edge_s - shift;
                         auto(t - delay)
                             * Complex64::from_polar(weights[e] / total, -TAU * center_hz * delay)

@@ -23,12 +23,15 @@
 //! with a few of the products; other lines and apertures element by element. Work proceeds in tiles of at most
 //! [`MAX_SAMPLES`] samples, so that rows and sums stay in the second-level cache, and is split by tile.
 //!
+//! On an arc each beam has elements of its own, see [`arc`]; places along the boresight enter the delays.
+//!
 //! For bottom detection the line has two sections, its halves. Their sums refer to the whole line's centre, so that they agree in phase on the
 //! axis of every beam. The fan of the whole line is their sum; a detection needs only their product besides.
 //!
 //! Not modelled in the steering: motion out of the plane of line and boresight, rotation during the echo, and the Doppler stretch (a common
 //! range shift through range-Doppler coupling).
 
+mod arc;
 mod groups;
 mod interpolation;
 mod second_sum;
@@ -39,6 +42,8 @@ use std::ops::Range;
 
 use num_complex::Complex32;
 use rayon::prelude::*;
+
+pub(super) use arc::ArcApertures;
 
 use super::RowLimits;
 use super::kernel::{BLOCK, MAX_SAMPLES, STEP, Sums, Taps, add_rows};
@@ -65,16 +70,18 @@ const MAX_SECTIONS: usize = 3;
 pub(crate) struct DelaySumFormer {
     steered: SteeredArray<f32>,
     former: Former,
-    /// Element positions along the line from its centre, metres.
+    /// Element positions along the array's axis from its centre, and on an arc along the boresight, metres.
     x_m: Vec<f32>,
+    z_m: Vec<f32>,
     /// Position of the transmitter relative to the array's centre, along the line and the boresight, metres.
     transmit_m: [f64; 2],
     array_from_body: glam::DQuat,
     taper: Taper,
     f_number: Option<f64>,
     focus_error_rad: f64,
-    /// Elements that are summed apart: all, or two halves and between them what is left.
+    /// Elements of a line that are summed apart: all, or two halves and between them what is left. The beams of an arc have their own.
     sections: Vec<Range<usize>>,
+    has_halves: bool,
     /// Zeros before and after each row, for the reach of delays and filters.
     margin: usize,
     /// Samples before and after a tile that the delays of each element reach.
@@ -149,7 +156,11 @@ impl DelaySumFormer {
         sound_speed_m_per_s: f64,
     ) -> Self {
         let c = sound_speed_m_per_s;
-        let sections = sections(array.elements, fan.form.bottom_detection);
+        let has_halves = fan.form.bottom_detection;
+        let sections = match array.radius_m {
+            None => sections(array.elements, has_halves),
+            Some(_) => sections(2, has_halves),
+        };
         let steered = SteeredArray::new(array, fan, (limits, 0), pulse, weighting, c);
         let elements = array.elements;
         let half_m = 0.5 * array.spacing_m * (elements - 1) as f64;
@@ -175,20 +186,23 @@ impl DelaySumFormer {
             (pulse, limits.sample_rate_hz, c),
             rows,
         );
+        let groups = groups.filter(|_| array.radius_m.is_none());
         let capacity = groups.as_ref().map_or(0, |groups| groups.capacity);
         let room = capacity * 2 * MAX_SAMPLES + STEP;
         let grid_room = BLOCK.min(elements) * MAX_FRACTIONS * 2 * grid_row(margin) + STEP;
         let mut former = Self {
             former,
-            x_m: (0..elements).map(|e| array.element_x_m(e) as f32).collect(),
+            x_m: (0..elements).map(|e| array.element_m(e).x as f32).collect(),
+            z_m: (0..elements).map(|e| array.element_m(e).z as f32).collect(),
             transmit_m: [transmit_m.x, transmit_m.z],
             array_from_body,
             taper: Taper::new(fan.shading),
             f_number: fan.form.f_number,
             focus_error_rad: fan.form.focus_error_rad,
             sections,
+            has_halves,
             margin,
-            reach: (0..elements).map(|e| reach(array.element_x_m(e))).collect(),
+            reach: (0..elements).map(|e| reach(array.along_m(e))).collect(),
             rows: vec![0.0; elements * 2 * row_length],
             row_length,
             zones: Vec::with_capacity(limits.samples),
@@ -241,19 +255,27 @@ impl DelaySumFormer {
             (pulse, rate_hz, c),
             rows,
         );
-        let (sums, parts) = match &groups {
-            Some(groups) => (
+        let arc = ArcApertures::new(array, fan).map(|mut arc| {
+            arc.aim(&super::directions::Directions::new(array, fan).sine);
+            arc
+        });
+        let (sums, parts) = match (&groups, &arc) {
+            (_, Some(arc)) => ((arc.terms() * rows) as f64, arc.terms() / fan.beams.max(1)),
+            (Some(groups), None) => (
                 groups.products((sector, fan.beams), (pulse, c), rows),
                 groups.parts.len(),
             ),
-            None => ((array.elements * fan.beams * rows) as f64, array.elements),
+            (None, None) => ((array.elements * fan.beams * rows) as f64, array.elements),
         };
         // A real coefficient has half of the products of a complex one.
         let between =
             0.5 * (array.elements * interpolation.fractions() * interpolation.taps) as f64;
         let zones = match fan.form.former {
             Former::DynamicFocus => {
-                let half_m = 0.5 * array.spacing_m * array.elements as f64;
+                let half_m = match &arc {
+                    Some(arc) => arc.reach_m,
+                    None => 0.5 * array.spacing_m * array.elements as f64,
+                };
                 let wavelength_m = c / pulse.center_frequency_hz;
                 let focus_error_rad = fan.form.focus_error_rad;
                 let curvature = focus_error_rad * wavelength_m / (PI * half_m * half_m);
@@ -309,8 +331,11 @@ impl DelaySumFormer {
         self.sum(plan, out);
     }
 
-    /// Half the aperture in use at a range, metres.
+    /// Half the aperture in use at a range, metres; of an arc, the distance of its farthest element from the axis of a beam.
     fn half_aperture_m(&self, range_m: f64) -> f64 {
+        if let Some(arc) = &self.steered.arc {
+            return arc.reach_m;
+        }
         let whole = 0.5 * self.steered.spacing_m() * self.x_m.len() as f64;
         match self.f_number {
             Some(f) => whole.min(0.5 * range_m / f),
@@ -382,6 +407,9 @@ impl DelaySumFormer {
     fn weigh_zones(&mut self) {
         let elements = self.x_m.len();
         self.zone_weights.clear();
+        if self.steered.arc.is_some() {
+            return;
+        }
         for z in 0..self.zones.len() {
             let range_m = 0.5 * self.steered.sound_speed_m_per_s * self.zones[z].time_s;
             let start = self.zone_weights.len();
@@ -513,9 +541,12 @@ impl DelaySumFormer {
             for tile in this.tiles.iter().skip(w).step_by(stride) {
                 // SAFETY: each tile has samples of its own, and one worker.
                 unsafe {
-                    match tile.time_s {
-                        Some(time_s) => this.sum_groups(&steering, tile, time_s, worker, &out),
-                        None => this.sum_elements(&steering, tile, worker, &out),
+                    match (tile.time_s, &this.steered.arc) {
+                        (Some(time_s), _) => {
+                            this.sum_groups(&steering, tile, time_s, worker, &out);
+                        }
+                        (None, Some(arc)) => this.sum_arc(arc, &steering, tile, worker, &out),
+                        (None, None) => this.sum_elements(&steering, tile, worker, &out),
                     }
                 }
             }
@@ -582,6 +613,75 @@ impl DelaySumFormer {
                 }
             }
         }
+        // SAFETY: the caller guarantees that the samples are this tile's alone.
+        unsafe { self.finish_tile(tile, worker, out) };
+    }
+
+    /// Sums a tile of the beams of an arc, each over its own elements, and writes it.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn sum_arc(
+        &self,
+        arc: &ArcApertures,
+        steering: &Steering,
+        tile: &Tile,
+        worker: &mut Worker,
+        out: &Outputs,
+    ) {
+        let elements = self.x_m.len();
+        let row = grid_row(self.margin);
+        let element_rows = 2 * self.interpolation.fractions() * row;
+        worker.tile.fill([Sums::ZERO; MAX_SECTIONS]);
+        let mut taps = Taps::NONE;
+        for first in (0..elements).step_by(BLOCK) {
+            let block = first..(first + BLOCK).min(elements);
+            self.interpolate(tile, block.clone(), &mut worker.grid);
+            for (_, zone) in self.zones_of(tile) {
+                let (from, to) = (zone.first.max(tile.first), zone.end.min(tile.end));
+                let sines = &self.steered.directions.sine;
+                self.simd_level.run(
+                    #[inline(always)]
+                    || {
+                        for (focus, sine) in worker.focus.iter_mut().zip(sines) {
+                            *focus = steering.focus(*sine, zone.time_s);
+                        }
+                    },
+                );
+                let of_beams = worker.focus.iter().zip(&mut worker.tile).zip(&arc.beams);
+                for ((focus, total), beam) in of_beams {
+                    for (s, section) in beam.sections(self.has_halves).enumerate() {
+                        let part = section.start.max(block.start)..section.end.min(block.end);
+                        if part.is_empty() {
+                            continue;
+                        }
+                        let weights = arc.weights(beam, part.clone());
+                        let places = [&self.x_m[part.clone()], &self.z_m[part.clone()]];
+                        let layout = GridLayout {
+                            row,
+                            origin: self.margin + from - tile.first
+                                + (part.start - block.start) * element_rows,
+                        };
+                        let (interpolation, to_sum) = (&self.interpolation, (places, weights));
+                        self.simd_level.run(
+                            #[inline(always)]
+                            || steering.steer_arc(focus, to_sum, interpolation, layout, &mut taps),
+                        );
+                        let total = total[s].part(from - tile.first..to - tile.first);
+                        add_rows(self.simd_level, &worker.grid, row, &taps, total);
+                    }
+                }
+            }
+        }
+        // SAFETY: the caller guarantees that the samples are this tile's alone.
+        unsafe { self.finish_tile(tile, worker, out) };
+    }
+
+    /// Writes the sums of a tile.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn finish_tile(&self, tile: &Tile, worker: &Worker, out: &Outputs) {
         let samples = tile.end - tile.first;
         for (beam, sums) in worker.tile.iter().enumerate() {
             let sums = sums

@@ -92,7 +92,9 @@ pub(super) fn widths_rad(
     sines: &[f64],
     widths: &mut [f64],
 ) {
-    let half = half_power_sine(weights, spacing_wavelengths);
+    let middle = (weights.len() as f64 - 1.0) / 2.0;
+    let places = (0..weights.len()).map(|e| (e as f64 - middle) * spacing_wavelengths);
+    let half = half_power_sine(weights, &places.collect::<Vec<f64>>());
     for (width, sine) in widths.iter_mut().zip(sines) {
         let edge = |s: f64| match s.abs() < 1.0 {
             true => s.asin(),
@@ -102,19 +104,23 @@ pub(super) fn widths_rad(
     }
 }
 
-/// Offset in sine at which the response of a line array falls to half its power; infinite if it never does (one element).
-fn half_power_sine(weights: &[f64], spacing_wavelengths: f64) -> f64 {
-    let middle = (weights.len() as f64 - 1.0) / 2.0;
+/// Offset in sine at which the response of elements at these places, in wavelengths, falls to half its power; infinite if it never does (one element).
+pub(super) fn half_power_sine(weights: &[f64], places_wavelengths: &[f64]) -> f64 {
     // The weights are symmetrical, so that the response is real.
     let response = |sine: f64| -> f64 {
-        weights
-            .iter()
-            .enumerate()
-            .map(|(e, w)| w * (TAU * (e as f64 - middle) * spacing_wavelengths * sine).cos())
+        let elements = weights.iter().zip(places_wavelengths);
+        elements
+            .map(|(w, place)| w * (TAU * place * sine).cos())
             .sum()
     };
     let threshold = 0.5_f64.sqrt();
-    let step = 1.0 / (64.0 * weights.len() as f64 * spacing_wavelengths);
+    let reach = places_wavelengths
+        .iter()
+        .fold(0.0, |most: f64, p| most.max(p.abs()));
+    if reach == 0.0 {
+        return f64::INFINITY;
+    }
+    let step = 1.0 / (128.0 * reach);
     let mut inside = 0.0;
     while response(inside + step) > threshold {
         inside += step;

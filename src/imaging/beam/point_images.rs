@@ -84,11 +84,11 @@ impl Rig {
             u
         };
         let mut frame = elements_of_plane_wave(&self.array, RATE_HZ, SAMPLES, |e| {
-            let late_s = delay_s(self.array.element_x_m(e)) - first as f64 / RATE_HZ;
+            let late_s = delay_s(self.array.along_m(e)) - first as f64 / RATE_HZ;
             (pulse(), late_s)
         });
         for e in 0..self.array.elements {
-            let x_m = self.array.element_x_m(e);
+            let x_m = self.array.along_m(e);
             let ahead_m = along_m - x_m - SPEED_M_PER_S * delay_s(x_m);
             let heard = sinc(self.element_m * ahead_m / ahead_m.hypot(range_m) / LAMBDA_M);
             for x in frame.element_mut(e) {
@@ -110,7 +110,7 @@ impl Rig {
             .map_or(whole_m, |f| whole_m.min(0.5 * range_m / f))
             .max(0.5 * self.array.spacing_m);
         (0..self.array.elements)
-            .filter(|&e| self.array.element_x_m(e).abs() <= half_m)
+            .filter(|&e| self.array.along_m(e).abs() <= half_m)
             .count()
     }
 
@@ -145,7 +145,7 @@ impl Rig {
         let focus_m = self.sine * range_m;
         let sum: Complex64 = (skipped..skipped + used)
             .map(|e| {
-                let place_m = travelled_m + self.array.element_x_m(e);
+                let place_m = travelled_m + self.array.along_m(e);
                 let late = |y: f64| (y - place_m).hypot(range_m) - (y - travelled_m).hypot(range_m);
                 let ahead_m = along_m - place_m;
                 let heard = sinc(self.element_m * ahead_m / ahead_m.hypot(range_m) / LAMBDA_M);

@@ -179,7 +179,7 @@ mod tests {
         let cw = test_rig::pulse(PulseKind::Cw, 0.0, 5e-3, 0.0);
         for sine in [0.0, 0.004, 0.01, 0.028] {
             let frame = elements_of_plane_wave(&array, 40e3, 1000, |e| {
-                (cw, 500.0 / 40e3 - array.element_x_m(e) * sine / C)
+                (cw, 500.0 / 40e3 - array.along_m(e) * sine / C)
             });
             let mut line = empty();
             former(Side::Port, 1000).form(&plan(&cw, 1000, C), &frame, &mut line);

@@ -1,8 +1,9 @@
-//! A line array steered to the directions of a fan: the part that all fan formers share.
+//! An array steered to the directions of a fan: the part that all fan formers share.
 
 use echotank_fft::Planned;
 
 use super::RowLimits;
+use super::delay_sum::ArcApertures;
 use super::directions::{Directions, widths_rad};
 use super::matched::Correlator;
 use super::weights;
@@ -21,6 +22,8 @@ pub(super) struct SteeredArray<T: Planned = f64> {
     spacing_m: f64,
     /// Element weights; their sum is 1.
     pub(super) weights: Vec<f64>,
+    /// Of an arc: the elements and weights of each beam, in place of `weights`.
+    pub(super) arc: Option<ArcApertures>,
     pub(super) directions: Directions,
     width_rad: Vec<f64>,
     pub(super) sound_speed_m_per_s: f64,
@@ -50,6 +53,7 @@ impl<T: Planned> SteeredArray<T> {
             array: fan.array,
             spacing_m: array.spacing_m,
             weights,
+            arc: ArcApertures::new(array, fan),
             directions: Directions::new(array, fan),
             width_rad: vec![0.0; fan.beams],
             sound_speed_m_per_s,
@@ -139,7 +143,13 @@ impl<T: Planned> SteeredArray<T> {
     }
 
     fn measure_widths(&mut self) {
-        let spacing = self.spacing_m / self.wavelength_m();
+        let wavelength_m = self.wavelength_m();
+        if let Some(arc) = &mut self.arc {
+            arc.aim(&self.directions.sine);
+            arc.widths_rad(wavelength_m, &mut self.width_rad);
+            return;
+        }
+        let spacing = self.spacing_m / wavelength_m;
         let sines = &self.directions.sine;
         widths_rad(&self.weights, spacing, sines, &mut self.width_rad);
     }

@@ -115,6 +115,7 @@ pub(crate) fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeome
         },
         elements,
         spacing_m,
+        radius_m: None,
         element_pattern: Pattern::Omnidirectional,
         sensitivity_db: 0.0,
         transmit: 0,
@@ -146,7 +147,7 @@ pub(crate) fn tone(
 ) -> ElementFrame {
     let iq: Vec<_> = (0..array.elements)
         .flat_map(|e| {
-            let early_s = array.element_x_m(e) * sine / C;
+            let early_s = array.along_m(e) * sine / C;
             std::iter::repeat_n(
                 Complex64::from_polar(1.0, TAU * frequency_hz * early_s),
                 samples,

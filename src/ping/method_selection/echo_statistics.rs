@@ -395,10 +395,9 @@ pub fn echo_statistics(
     let poses = Poses::of(&plan.trajectory);
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
-        let ends = [0, array.elements - 1];
-        let ends = &ends[..array.elements.min(2)];
-        let each = array.elements as f64 / ends.len() as f64;
-        for &element in ends {
+        let outermost = array.outermost().take(array.elements);
+        let each = array.elements as f64 / outermost.clone().count() as f64;
+        for element in outermost {
             parts.fill(Part::default());
             let ends = (array, element);
             let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, ends, INSTANTS);
@@ -535,16 +534,18 @@ pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatter
     };
     let heard_m = plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
     let poses = Poses::of(&plan.trajectory);
-    // Each end looks at others.
-    let ends = 2 * spec.receive.len().max(1);
+    // Each of them looks at others.
+    let outermost = spec.receive.iter().map(|array| array.outermost().count());
+    let outermost = outermost.sum::<usize>().max(1);
+    let mut looked = 0;
     let stride = scatterers.len().div_ceil(FEW_SCATTERERS).max(1);
-    for (a, array) in spec.receive.iter().enumerate() {
+    for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
-        for (e, element) in [0, array.elements - 1].into_iter().enumerate() {
+        for element in array.outermost() {
             let of = (array, element);
             let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, of, FEW_INSTANTS);
-            let first = (2 * a + e) * stride;
-            let evenly = (first..scatterers.len()).step_by(ends * stride);
+            let evenly = (looked * stride..scatterers.len()).step_by(outermost * stride);
+            looked += 1;
             for i in evenly.chain(near.iter().copied()) {
                 let place_m = scatterers.position_m(i);
                 let sent_m = scatterers.transmit_m(i);
@@ -569,11 +570,8 @@ fn near(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<usize
     let pose = plan.trajectory.pose_at(0.0);
     let arms = spec.receive.iter().flat_map(|array| {
         let transmit = spec.transmit[array.transmit].mounting.position_m;
-        [
-            transmit,
-            array.element_body_m(0),
-            array.element_body_m(array.elements - 1),
-        ]
+        let outermost = array.outermost().map(|e| array.element_body_m(e));
+        outermost.chain([transmit])
     });
     let arm_m = arms.map(|arm_m| arm_m.length()).fold(0.0, f64::max);
     let way_m = pose.velocity_m_per_s.length() * plan.pulse.duration_s;
@@ -713,7 +711,7 @@ pub(super) struct ReceivingElement {
     line_m: f64,
     /// On the body.
     arm_m: DVec3,
-    body_from_array: DQuat,
+    body_from_element: DQuat,
     /// Of the ping's path model, if it is known; and the velocities of the transmitter that it is off by.
     legs: Option<Vec<PathLeg>>,
     transmit_off_m_per_s: Velocities,
@@ -967,7 +965,8 @@ impl ReceivingElement {
         let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
         let heard_s = plan.window_s(spec.receiver.sample_rate_hz);
         let step_s = heard_s / instants as f64;
-        let arm_m = array.element_body_m(element);
+        let mounting = array.element_mounting(element);
+        let arm_m = mounting.position_m;
         // The largest change from an instant on, within a pulse.
         let pulse_steps = (plan.pulse.duration_s / step_s).ceil().max(1.0) as usize;
         let steps = instants.max(pulse_steps) + 1;
@@ -1054,12 +1053,14 @@ impl ReceivingElement {
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             pulse_s: plan.pulse.duration_s,
             arm_m,
-            body_from_array: array.mounting.body_from_array,
+            body_from_element: mounting.body_from_array,
             legs: None,
             transmit_off_m_per_s: Velocities::default(),
             line_m: {
-                let to_last_m = (array.elements - 1 - element) as f64 * array.spacing_m;
-                let to_first_m = -(element as f64) * array.spacing_m;
+                // Of an arc, along its chord.
+                let x_m = |e: usize| array.element_m(e).x;
+                let to_last_m = x_m(array.elements - 1) - x_m(element);
+                let to_first_m = x_m(0) - x_m(element);
                 if element == 0 { to_last_m } else { to_first_m }
             },
             step_s,
@@ -1075,7 +1076,7 @@ impl ReceivingElement {
                         unsteady_m_per_s2: unsteady(t_s, change(k)),
                         turning_m_per_s: velocity - pose.velocity_m_per_s,
                         array_from_world: DMat3::from_quat(
-                            (pose.world_from_body * array.mounting.body_from_array).inverse(),
+                            (pose.world_from_body * mounting.body_from_array).inverse(),
                         ),
                         axis: pose.world_from_body * (array.mounting.body_from_array * DVec3::X),
                     }
@@ -1089,7 +1090,7 @@ impl ReceivingElement {
         let segments = plan.segments.as_slice();
         let origin_m = segments[0].position_m;
         let axes = |world_from_body: DQuat| {
-            DMat3::from_quat((world_from_body * self.body_from_array).inverse())
+            DMat3::from_quat((world_from_body * self.body_from_element).inverse())
         };
         let of_segment = |k: usize, moves: f64| {
             let segment = &segments[k];
@@ -1136,7 +1137,7 @@ impl ReceivingElement {
         let t_s = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s;
         let pose = plan.trajectory.pose_from(plan.segments[0].position_m, t_s);
         let towards = |u: DVec3| self.element.towards(u.x, u.y, u.z);
-        let axes = DMat3::from_quat((pose.world_from_body * self.body_from_array).inverse());
+        let axes = DMat3::from_quat((pose.world_from_body * self.body_from_element).inverse());
         let exact = towards(axes * ray.back);
         let before = legs.partition_point(|leg| leg.start_s <= t_s);
         let leg = legs.get(before.max(1) - 1);

@@ -540,7 +540,7 @@ fn larger(a: MotionPeaks, b: MotionPeaks) -> MotionPeaks {
     [0, 1, 2].map(|k| a[k].max(b[k]))
 }
 
-/// Motion of a ping at all transmitters and both ends of every line.
+/// Motion of a ping at all transmitters, both ends of every line and the middle of an arc.
 fn motion_peaks(spec: &SonarSpec, plan: &PingPlan) -> MotionPeaks {
     let step_s = plan.window_s(spec.receiver.sample_rate_hz) / INSTANTS as f64;
     let mut worst = [0.0f64; 3];
@@ -548,7 +548,7 @@ fn motion_peaks(spec: &SonarSpec, plan: &PingPlan) -> MotionPeaks {
     let ends = spec
         .receive
         .iter()
-        .flat_map(|array| [0, array.elements - 1].map(|e| array.element_body_m(e)));
+        .flat_map(|array| array.outermost().map(|e| array.element_body_m(e)));
     for arm_m in transmit.chain(ends) {
         let mut before = None;
         for k in 0..=INSTANTS {

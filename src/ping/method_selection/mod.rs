@@ -1219,8 +1219,7 @@ impl<'a> CandidateBuilder<'a> {
         let pairs = spec.receive.iter().map(|array| {
             let transmit = &spec.transmit[array.transmit];
             let along = |q: glam::DQuat| (q * glam::DVec3::X).x.abs();
-            let line_m =
-                (array.elements as f64 * array.spacing_m).max(side_m(&array.element_pattern));
+            let line_m = array.length_m().max(side_m(&array.element_pattern));
             (line_m * along(array.mounting.body_from_array))
                 .hypot(side_m(&transmit.pattern) * along(transmit.mounting.body_from_array))
         });

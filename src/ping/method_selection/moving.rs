@@ -75,8 +75,7 @@ pub(crate) fn moving_error(
     let (mut worst, mut latest_s) = (0.0f64, 0.0f64);
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
-        let ends = [0, array.elements.saturating_sub(1)];
-        for &element in &ends[..array.elements.min(2)] {
+        for element in array.outermost().take(array.elements) {
             windows.fill(Window::default());
             let at = (array, element);
             let echoes = MovingEchoes::checked(plan, transmit, at, &scatterers.moving, stride, 0.0);

@@ -70,10 +70,11 @@ impl Parting {
     }
 }
 
-/// Numbers of elements that can be taken as one on every line, small ones first.
+/// Numbers of elements that can be taken as one on every line, small ones first; none where an array is an arc.
 pub(crate) fn divisors(spec: &SonarSpec) -> Vec<usize> {
     let least = spec.receive.iter().map(|array| array.elements).min();
-    let even = |of: &usize| spec.receive.iter().all(|a| a.elements.is_multiple_of(*of));
+    let fits = |a: &ArrayGeometry, of: usize| a.elements.is_multiple_of(of) && a.radius_m.is_none();
+    let even = |of: &usize| spec.receive.iter().all(|a| fits(a, *of));
     (2..=least.unwrap_or(1)).filter(even).collect()
 }
 
@@ -386,12 +387,12 @@ impl<'a> EchoSummation<'a> {
         let array = line.array;
         let parts = |of: &usize| {
             let parts = array.in_parts(*of).expect("a divisor");
-            (0..parts.elements).map(|k| parts.element_x_m(k)).collect()
+            (0..parts.elements).map(|k| parts.along_m(k)).collect()
         };
         Self {
             line,
             divisors,
-            x_m: (0..array.elements).map(|e| array.element_x_m(e)).collect(),
+            x_m: (0..array.elements).map(|e| array.along_m(e)).collect(),
             parts_m: divisors.iter().map(parts).collect(),
             halfway: vec![Complex64::ZERO; array.elements],
         }

@@ -105,9 +105,11 @@ impl RestingPing {
         let (mut arrays, mut apart_m) = (Vec::new(), Vec::new());
         for array in &spec.receive {
             let transmit = &spec.transmit[array.transmit];
-            let ends = [0, array.elements - 1].map(|element| array.element_body_m(element));
-            let apart = ends.map(|end_m| end_m.distance(transmit.mounting.position_m));
-            apart_m.push(apart[0].max(apart[1]));
+            let apart = array.outermost().map(|element| {
+                let element_m = array.element_body_m(element);
+                element_m.distance(transmit.mounting.position_m)
+            });
+            apart_m.push(apart.fold(0.0, f64::max));
             insonify(&plan, transmit, heard, scatterers, &mut leg);
             let mut all: Vec<RestingElement> = Vec::new();
             for element in 0..array.elements {

@@ -175,8 +175,10 @@ impl WindowStatistics {
         let pose = plan.trajectory.pose_at(0.0);
         let ends_m = spec.receive.iter().flat_map(|array| {
             let transmit_m = spec.transmit[array.transmit].mounting.position_m;
-            [0, array.elements - 1]
-                .map(|e| [transmit_m, array.element_body_m(e)].map(|end_m| pose.point_m(end_m)))
+            let pose = &pose;
+            array.outermost().map(move |e| {
+                [transmit_m, array.element_body_m(e)].map(|end_m| pose.point_m(end_m))
+            })
         });
         let c = plan.sound_speed_m_per_s;
         let until_s = onset.find(ends_m, c, pose.velocity_m_per_s.length() / c, scatterers);
@@ -244,10 +246,10 @@ impl WindowStatistics {
             let level_db = plan.settings.source_level_db + transmit.level_offset_db;
             let pulse = amplitude_from_db(level_db + array.sensitivity_db).powi(2) * echo;
             self.profile.clear();
-            let ends = [0, array.elements - 1];
-            let ends = &ends[..array.elements.min(2)];
             self.looked_at.clear();
-            self.looked_at.extend_from_slice(ends);
+            let outermost = array.outermost().take(array.elements);
+            self.looked_at.extend(outermost);
+            let outermost = self.looked_at.len();
             let mut k = 0;
             while let Some(&element) = self.looked_at.get(k) {
                 let of = (array, element);
@@ -259,7 +261,7 @@ impl WindowStatistics {
                     of,
                     (&energies, window, until),
                 );
-                if k < ends.len() {
+                if k < outermost {
                     let first = plan.first_sample_s * rate_hz;
                     self.add_to_profile(window, samples, first, weights);
                 }
@@ -272,7 +274,7 @@ impl WindowStatistics {
                 let signal = (&signal[..samples], strongest);
                 self.find_worst((spec, plan), signal, window, pulse, of, &mut worst);
                 k += 1;
-                if k == ends.len() {
+                if k == outermost {
                     self.find_largest_errors(frame, window, pulse, count);
                 }
             }

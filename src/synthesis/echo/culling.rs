@@ -47,7 +47,7 @@ fn share_of_ring(
     azimuths: usize,
 ) -> f64 {
     let transmit_leg = Directivity::new(&transmit.pattern, wavelength_m);
-    let element = Directivity::new(&array.element_pattern, wavelength_m);
+    let element = Directivity::new(&array.envelope_pattern(), wavelength_m);
     let floor = amplitude_from_db(cull_db);
     let (sin, cos) = libm::sincos(incidence_rad);
     let (mut all, mut left_out) = (0.0, 0.0);
@@ -100,6 +100,7 @@ mod tests {
             mounting,
             elements: 1,
             spacing_m: 0.0,
+            radius_m: None,
             element_pattern: Pattern::Omnidirectional,
             sensitivity_db: 0.0,
             transmit: 0,

@@ -20,7 +20,7 @@
 
 use std::f64::consts::TAU;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
@@ -61,9 +61,10 @@ struct Hit {
     received_s: f64,
     /// Three instants of the track, evenly: the first, and the step.
     track_s: (f64, f64),
-    /// Centre of the array, and unit vector along it, at these instants.
+    /// Centre of the array, and its axes along the line and the boresight, at these instants.
     center_m: [DVec3; 3],
     along: [DVec3; 3],
+    ahead: [DVec3; 3],
     array_from_world: DMat3,
     /// Pressure at 1 m from the scatterer, with the transmit half of its law.
     amplitude: Complex64,
@@ -134,12 +135,12 @@ impl MovingEchoes {
     ) -> impl Iterator<Item = CheckedEcho> + 'a {
         let path = Path::new(plan, transmit, array, late_s);
         let receiver = Receiver::new(plan, array);
-        let along_m = array.element_x_m(element);
+        let own = Element::new(array, element);
         let body_m = array.element_body_m(element);
         let (c, duration_s) = (plan.sound_speed_m_per_s, plan.pulse.duration_s);
         let one = move |scatterer: &MovingScatterer| {
             let pose_at = |time_s: f64| plan.trajectory.pose_from(path.origin_m, time_s);
-            let echo = receiver.echo(&path.hit(scatterer), along_m);
+            let echo = receiver.echo(&path.hit(scatterer), own);
             let energy = echo.amplitude.norm_sqr();
             let (seen, sent) = path.motions(scatterer);
             let off_s = |share: f64| {
@@ -211,14 +212,14 @@ impl MovingEchoes {
     ) -> EchoCounts {
         let hits = self.arrays.get(index).map_or(&[][..], |hits| hits);
         let receiver = Receiver::new(plan, array);
-        let along_m = array.element_x_m(element);
+        let own = Element::new(array, element);
         let mut chunk = ArrivalChunk::new();
         chunk.element = element;
         let mut counts = EchoCounts::default();
         for hits in hits.chunks(CHUNK) {
             chunk.len = hits.len();
             for (i, hit) in hits.iter().enumerate() {
-                let echo = receiver.echo(hit, along_m);
+                let echo = receiver.echo(hit, own);
                 chunk.delay_s[i] = echo.delay_s;
                 chunk.doppler[i] = echo.doppler;
                 chunk.curvature_per_s[i] = echo.curvature_per_s;
@@ -359,6 +360,7 @@ impl<'a> Path<'a> {
             track_s: (first_s, step_s),
             center_m: poses.map(|pose| pose.point_m(mounting.position_m)),
             along: poses.map(|pose| pose.world_from_body * (mounting.body_from_array * DVec3::X)),
+            ahead: poses.map(|pose| pose.world_from_body * (mounting.body_from_array * DVec3::Z)),
             array_from_world: DMat3::from_quat(
                 (pose.world_from_body * mounting.body_from_array).inverse(),
             ),
@@ -389,6 +391,28 @@ struct Echo {
     range_m: f64,
 }
 
+/// One element of an array.
+#[derive(Clone, Copy)]
+struct Element {
+    /// In array axes, metres.
+    at_m: DVec3,
+    /// Rotation from array axes to its own.
+    from_array: DQuat,
+}
+
+impl Element {
+    fn new(array: &ArrayGeometry, element: usize) -> Self {
+        let own = array.element_mounting(element).body_from_array;
+        Self {
+            at_m: array.element_m(element),
+            from_array: match array.radius_m {
+                None => DQuat::IDENTITY,
+                Some(_) => own.inverse() * array.mounting.body_from_array,
+            },
+        }
+    }
+}
+
 /// Track of an element around an echo: a parabola over (t - first) / step.
 struct Parabola {
     track_s: (f64, f64),
@@ -396,8 +420,10 @@ struct Parabola {
 }
 
 impl Parabola {
-    fn new(hit: &Hit, along_m: f64) -> Self {
-        let [a, b, c] = [0, 1, 2].map(|k| hit.center_m[k] + hit.along[k] * along_m);
+    /// `element_m`: in array axes; an element has no place across the plane of x and z.
+    fn new(hit: &Hit, element_m: DVec3) -> Self {
+        let [a, b, c] = [0, 1, 2]
+            .map(|k| hit.center_m[k] + hit.along[k] * element_m.x + hit.ahead[k] * element_m.z);
         Self {
             track_s: hit.track_s,
             terms: [a, 2.0 * b - 1.5 * a - 0.5 * c, 0.5 * (a + c) - b],
@@ -446,8 +472,8 @@ impl Receiver {
         }
     }
 
-    fn echo(&self, hit: &Hit, along_m: f64) -> Echo {
-        let track = Parabola::new(hit, along_m);
+    fn echo(&self, hit: &Hit, element: Element) -> Echo {
+        let track = Parabola::new(hit, element.at_m);
         let mut guess_s = hit.received_s;
         let times_s = [0, 1, 2].map(|k| {
             let time_s = track.received_s(self.c, (hit.time_s[k], hit.at_m[k]), guess_s);
@@ -463,7 +489,7 @@ impl Receiver {
         let ray_m = hit.at_m[0] - track.at(delay_s).0;
         let range_m = ray_m.length().max(f64::MIN_POSITIVE);
         let ray = ray_m / range_m;
-        let u = hit.array_from_world * ray;
+        let u = element.from_array * (hit.array_from_world * ray);
         let law = match hit.normal == DVec3::ZERO {
             true => 1.0,
             false => (-hit.normal.dot(ray)).max(0.0).sqrt(),
@@ -476,19 +502,19 @@ impl Receiver {
             delay_s,
             doppler,
             curvature_per_s,
-            amplitude: hit.amplitude * gain * self.array_factor(hit, along_m, delay_s),
+            amplitude: hit.amplitude * gain * self.array_factor(hit, element.at_m, delay_s),
             range_m,
         }
     }
 
     /// Mean over the elements of a part of the array, at the carrier, relative to its middle; 1 for a single element.
-    fn array_factor(&self, hit: &Hit, along_m: f64, delay_s: f64) -> Complex64 {
+    fn array_factor(&self, hit: &Hit, element_m: DVec3, delay_s: f64) -> Complex64 {
         let Some((elements, spacing_m)) = self.part else {
             return Complex64::ONE;
         };
         let of_each = (0..elements).map(|e| {
             let beside_m = (e as f64 - 0.5 * (elements as f64 - 1.0)) * spacing_m;
-            let track = Parabola::new(hit, along_m + beside_m);
+            let track = Parabola::new(hit, element_m + DVec3::X * beside_m);
             let own_s = track.received_s(self.c, (hit.time_s[0], hit.at_m[0]), delay_s);
             let cycles = self.carrier_hz * (own_s - delay_s);
             let (sin, cos) = libm::sincos(-TAU * (cycles - cycles.round()));

@@ -308,10 +308,10 @@ impl ElementTrack {
         array: &ArrayGeometry,
         element: usize,
     ) {
-        self.compute_at(plan, sent, array, array.element_x_m(element));
+        self.compute_at(plan, sent, array, array.along_m(element));
     }
 
-    /// As [`Self::compute`], for a point `along_m` from the centre of the array.
+    /// As [`Self::compute`], for a point `along_m` from the centre along the array.
     pub(crate) fn compute_at(
         &mut self,
         plan: &PingPlan,
@@ -319,9 +319,9 @@ impl ElementTrack {
         array: &ArrayGeometry,
         along_m: f64,
     ) {
-        self.element_m = array.mounting.position_m
-            + array.mounting.body_from_array * DVec3::new(along_m, 0.0, 0.0);
-        self.body_from_array = array.mounting.body_from_array;
+        let mounting = array.mounting_at(along_m);
+        self.element_m = mounting.position_m;
+        self.body_from_array = mounting.body_from_array;
         self.sag_m = 0.0;
         self.legs.clear();
         match plan.model.path {

@@ -204,7 +204,7 @@ impl<'a> Prober<'a> {
         let attitudes = [earliest_s, at.time_s + at.half_span_s]
             .map(|time_s| (time_s, pose(time_s).world_from_body));
         Self {
-            sonar: Sonar::new(plan, tx, array, &plan.trajectory),
+            sonar: Sonar::new(plan, tx, (array, at.element), &plan.trajectory),
             plan,
             origin_m,
             way,

@@ -67,7 +67,7 @@ pub fn reference(
         None => (0..out.len()).map(time_s).collect(),
     };
     let receiver_m: Vec<DVec3> = shared_s.iter().map(|&t_s| receiver.at(t_s).0).collect();
-    let sonar = Sonar::new(plan, tx, array, &track);
+    let sonar = Sonar::new(plan, tx, (array, element), &track);
     let transmit_m = transmitter.at(0.0).0;
     let last_transmit_m = transmitter.at(duration_s).0;
     let tail_s = filter.map_or(0.0, Decimator::response_half_s);
@@ -244,7 +244,7 @@ pub(super) fn facing(scatterers: &Scatterers, i: usize) -> Facing<'_> {
 pub(super) struct Sonar<'a> {
     track: &'a Trajectory,
     tx: &'a TransmitArray,
-    array: &'a ArrayGeometry,
+    body_from_element: DQuat,
     transmit_pattern: Directivity,
     element_pattern: Directivity,
     one_way: OneWay,
@@ -256,14 +256,14 @@ impl<'a> Sonar<'a> {
     pub(super) fn new(
         plan: &PingPlan,
         tx: &'a TransmitArray,
-        array: &'a ArrayGeometry,
+        (array, element): (&ArrayGeometry, usize),
         track: &'a Trajectory,
     ) -> Self {
         let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
         Self {
             track,
             tx,
-            array,
+            body_from_element: array.element_mounting(element).body_from_array,
             transmit_pattern: Directivity::new(&tx.pattern, wavelength_m),
             element_pattern: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
@@ -311,7 +311,7 @@ impl<'a> Sonar<'a> {
             &self.element_pattern,
             receive_ray_m,
             receive_attitude,
-            self.array.mounting.body_from_array,
+            self.body_from_element,
         );
         let [of_transmit, of_receive] = normals.map(|n| DVec3::from_array(n.map(f64::from)));
         let facing =

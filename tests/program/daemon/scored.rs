@@ -134,6 +134,31 @@ fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
     thread::sleep(Duration::from_millis(100));
 }
 
+/// Number of records that were written to the clients of each output.
+fn records_sent(control: SocketAddr) -> BTreeMap<&'static str, u64> {
+    let (_, metrics) = client::get(control, "/metrics", None).expect("answers");
+    let counts = ["7k", "elements"].map(|family| {
+        let lines = metrics.lines().filter(|line| {
+            line.starts_with("echotank_client_records_sent{")
+                && line.contains(&format!("family=\"{family}\""))
+        });
+        let values = lines.map(|line| line.rsplit(' ').next().expect("a value"));
+        (family, values.map(|v| v.parse::<u64>().expect(v)).sum())
+    });
+    counts.into()
+}
+
+/// Requests one ping and waits until every client was sent a record of it. A fault would discard what still waits in a queue.
+fn step_sent(control: SocketAddr, delivered: &mut u64) {
+    let before = records_sent(control);
+    step(control, delivered, 1);
+    eventually(|| {
+        let now = records_sent(control);
+        let all = now.iter().all(|(family, sent)| *sent > before[family]);
+        all.then_some(()).ok_or(format!("{before:?} {now:?}"))
+    });
+}
+
 fn logged(folder: &Path) -> Vec<LoggedFault> {
     let texts = files_in(folder).map(|file| std::fs::read_to_string(file).expect("text"));
     log_of(&texts.collect::<String>()).expect("a log")
@@ -267,7 +292,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     both(1);
     let mut delivered = 0;
     for round in 1..=ROUNDS {
-        step(control, &mut delivered, 2);
+        (0..2).for_each(|_| step_sent(control, &mut delivered));
         let mut fault = json!({ "do": "fault", "kind": kind });
         fault["for_s"] = value.clone();
         tell(control, &fault);

@@ -129,12 +129,13 @@ impl Scene {
     fn array(&self) -> ArrayGeometry {
         ArrayGeometry {
             spacing_m: self.spacing_m,
+            radius_m: None,
             ..rig::line(DVec3::ZERO, self.elements)
         }
     }
 
     fn transmit_x_m(&self) -> f64 {
-        self.array().element_x_m(self.elements / 2)
+        self.array().along_m(self.elements / 2)
     }
 
     fn limits(&self) -> RowLimits {
@@ -185,8 +186,7 @@ impl Scene {
             let (x, z) = (range_m * angle.sin(), range_m * angle.cos());
             let phase = chance.uniform();
             for (e, row) in iq.chunks_exact_mut(self.samples).enumerate() {
-                let path_m =
-                    (x - self.transmit_x_m()).hypot(z) + (x - array.element_x_m(e)).hypot(z);
+                let path_m = (x - self.transmit_x_m()).hypot(z) + (x - array.along_m(e)).hypot(z);
                 let delay_s = path_m / C;
                 let cycles = phase - pulse.center_frequency_hz * delay_s;
                 let carrier = Complex64::from_polar(1.0, TAU * cycles.fract());
@@ -241,7 +241,7 @@ impl Scene {
         let mut sum = Complex64::ZERO;
         let rows = rows.chunks_exact(self.samples);
         for (e, (row, weight)) in rows.zip(weights).enumerate() {
-            let at = array.element_x_m(e);
+            let at = array.along_m(e);
             let late_s = match focused {
                 true => ((x - at).hypot(z) - r) / C,
                 false => -at * sine / C,
@@ -438,7 +438,7 @@ pub(crate) fn dump(directory: &Path) -> Result<(), String> {
     let weights = scene.weights();
     let flat = |v: &[Complex64]| v.iter().flat_map(|c| [c.re, c.im]).collect::<Vec<_>>();
     let array = scene.array();
-    let places: Vec<f64> = (0..scene.elements).map(|e| array.element_x_m(e)).collect();
+    let places: Vec<f64> = (0..scene.elements).map(|e| array.along_m(e)).collect();
     let (mut points, mut want) = (Vec::new(), Vec::new());
     for i in 0..PEER_BEAMS {
         let sine = scene.angle_rad(peer_beam(i)).sin();

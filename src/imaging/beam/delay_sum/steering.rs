@@ -55,6 +55,16 @@ impl Focus {
         (late_m, slope)
     }
 
+    /// The same for an element with places along the line and along the boresight.
+    #[inline(always)]
+    fn late_m_of(&self, [vx, vz]: [f32; 2], [x, z]: [f32; 2]) -> f32 {
+        let [dx, dz] = self.d_m;
+        let difference_m2 = x * (x - 2.0 * dx) + z * (z - 2.0 * dz);
+        let q2 = self.range_m * self.range_m + difference_m2;
+        let q = q2.max(1e-12).sqrt();
+        difference_m2 / (q + self.range_m) / (1.0 + ((dx - x) * vx + (dz - z) * vz) / q)
+    }
+
     /// The same of a point far away.
     #[inline(always)]
     pub(super) fn far_late_m(&self, x: f32) -> f32 {
@@ -173,12 +183,6 @@ impl Steering {
         layout: GridLayout,
         taps: &mut Taps,
     ) {
-        let fractions = interpolation.fractions();
-        let cycles_per_m = self.cycles_per_m();
-        let steps_per_m = match self.former {
-            Former::Phase => 0.0,
-            _ => (self.rate_hz * fractions as f64 / self.c) as f32,
-        };
         let mach = self.mach();
         let n = x_m.len().min(w.len()).min(BLOCK);
         let mut late_m = [0.0f32; BLOCK];
@@ -188,6 +192,48 @@ impl Steering {
             true => elements.for_each(|(late_m, x)| *late_m = f.late_m(mach, *x).0),
             false => elements.for_each(|(late_m, x)| *late_m = f.far_late_m(*x)),
         }
+        self.taps((&late_m[..n], w), reference_m, interpolation, layout, taps);
+    }
+
+    /// As [`Self::steer`] for elements of an arc, at these places along its axis and along the boresight.
+    #[inline(always)]
+    pub(super) fn steer_arc(
+        &self,
+        f: &Focus,
+        ([x_m, z_m], w): ([&[f32]; 2], &[f32]),
+        interpolation: &Interpolation,
+        layout: GridLayout,
+        taps: &mut Taps,
+    ) {
+        let mach = self.mach();
+        let n = x_m.len().min(z_m.len()).min(w.len()).min(BLOCK);
+        let mut late_m = [0.0f32; BLOCK];
+        let cosine = (1.0 - f.sine * f.sine).max(0.0).sqrt();
+        let elements = late_m[..n].iter_mut().zip(x_m).zip(z_m);
+        match self.is_focused() {
+            true => elements.for_each(|((late_m, x), z)| *late_m = f.late_m_of(mach, [*x, *z])),
+            false => elements.for_each(|((late_m, x), z)| *late_m = -(x * f.sine + z * cosine)),
+        }
+        self.taps((&late_m[..n], w), 0.0, interpolation, layout, taps);
+    }
+
+    /// Rows and weights of elements with these delays.
+    #[inline(always)]
+    fn taps(
+        &self,
+        (late_m, w): (&[f32], &[f32]),
+        reference_m: f32,
+        interpolation: &Interpolation,
+        layout: GridLayout,
+        taps: &mut Taps,
+    ) {
+        let n = late_m.len().min(w.len()).min(BLOCK);
+        let fractions = interpolation.fractions();
+        let cycles_per_m = self.cycles_per_m();
+        let steps_per_m = match self.former {
+            Former::Phase => 0.0,
+            _ => (self.rate_hz * fractions as f64 / self.c) as f32,
+        };
         let element_rows = (fractions * 2 * layout.row) as i32;
         let (row, origin) = (2 * layout.row as i32, layout.origin as i32);
         let (mask, shift) = (fractions as i32 - 1, fractions.trailing_zeros());

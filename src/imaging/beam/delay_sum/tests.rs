@@ -10,8 +10,8 @@ use super::*;
 use crate::beam::conventional::line_array_response;
 use crate::beam::matched::MatchedFilter;
 use crate::beam::test_rig::{
-    C, array, elements_of_plane_wave, fan, half_power, limits, on_threads, plan_moving, pulse,
-    tone, transmitter,
+    C, array, elements_of_plane_wave, fan, frame, half_power, limits, on_threads, plan_moving,
+    pulse, tone, transmitter,
 };
 use crate::beam::weights;
 use echotank_config::spec::BeamSpacing;
@@ -79,11 +79,11 @@ impl Rig {
         out
     }
 
-    /// Exact two-way delay of a point at a position along the moving line: bisection in f64, independent of the former's closed form.
-    fn delay_s(&self, point_m: DVec3, x_m: f64) -> f64 {
+    /// Exact two-way delay of a point at a place of the moving array: bisection in f64, independent of the former's closed form.
+    fn delay_s(&self, point_m: DVec3, place_m: DVec3) -> f64 {
         let out_m = point_m.distance(self.transmit_m);
         let late = |u: f64| {
-            let at = DVec3::new(x_m, 0.0, 0.0) + self.velocity_m_per_s * u;
+            let at = place_m + self.velocity_m_per_s * u;
             C * u - out_m - point_m.distance(at)
         };
         let (mut low, mut high) = (0.0, 4.0 * (out_m + 10.0) / C);
@@ -104,11 +104,11 @@ impl Rig {
 
     /// The point near `range_m` whose echo arrives at the array's centre on a sample, and that sample.
     fn on_a_sample(&self, sine: f64, range_m: f64) -> (DVec3, usize) {
-        let sample = (self.delay_s(Self::point(sine, range_m), 0.0) * RATE_HZ).round();
+        let sample = (self.delay_s(Self::point(sine, range_m), DVec3::ZERO) * RATE_HZ).round();
         let (mut low, mut high) = (0.5 * range_m, 2.0 * range_m + 1.0);
         for _ in 0..200 {
             let middle = 0.5 * (low + high);
-            if self.delay_s(Self::point(sine, middle), 0.0) * RATE_HZ > sample {
+            if self.delay_s(Self::point(sine, middle), DVec3::ZERO) * RATE_HZ > sample {
                 high = middle;
             } else {
                 low = middle;
@@ -128,7 +128,7 @@ impl Rig {
         let first = sample.saturating_sub(AROUND / 3);
         let first_s = first as f64 / RATE_HZ;
         let frame = elements_of_plane_wave(&self.array, RATE_HZ, self.samples, |e| {
-            let delay_s = self.delay_s(point_m, self.array.element_x_m(e));
+            let delay_s = self.delay_s(point_m, self.array.element_m(e));
             (self.pulse, delay_s - first_s)
         });
         let mut plan = self.plan(velocity_m_per_s);
@@ -139,7 +139,7 @@ impl Rig {
     /// Every element receives the point with unit amplitude.
     fn echo(&self, point_m: DVec3) -> ElementFrame {
         elements_of_plane_wave(&self.array, RATE_HZ, self.samples, |e| {
-            (self.pulse, self.delay_s(point_m, self.array.element_x_m(e)))
+            (self.pulse, self.delay_s(point_m, self.array.element_m(e)))
         })
     }
 }
@@ -264,7 +264,7 @@ fn time_delays_do_not_squint_at_the_band_edges_and_phases_do() {
     let rig = Rig::new(128, 2.0 * LAMBDA_M, 900);
     let sine = 0.5;
     let frame = elements_of_plane_wave(&rig.array, RATE_HZ, 900, |e| {
-        let late_s = -rig.array.element_x_m(e) * sine / C;
+        let late_s = -rig.array.along_m(e) * sine / C;
         (rig.pulse, 400.0 / RATE_HZ + late_s)
     });
     let level = |former| {
@@ -321,7 +321,7 @@ fn unfocused_beams_have_the_near_field_loss_of_the_exact_element_sum() {
         let out = rig.beams(&single(0.0, Former::Phase), &rig.echo(point));
         let exact: Complex64 = (0..64)
             .map(|e| {
-                let late_m = point.distance(DVec3::X * rig.array.element_x_m(e)) - point.length();
+                let late_m = point.distance(DVec3::X * rig.array.along_m(e)) - point.length();
                 Complex64::from_polar(1.0 / 64.0, -TAU * late_m / LAMBDA_M)
             })
             .sum();
@@ -599,10 +599,10 @@ impl Reverberation {
         let time_s = first_s + sample as f64 / self.rate_hz;
         // The point whose echo reaches the array's centre at this time.
         let (mut low, mut high) = (0.0, C * time_s);
-        let delay_s = |range_m: f64, x_m: f64| self.rig.delay_s(Rig::point(sine, range_m), x_m);
+        let delay_s = |range_m: f64, at_m: DVec3| self.rig.delay_s(Rig::point(sine, range_m), at_m);
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            if delay_s(middle, 0.0) > time_s {
+            if delay_s(middle, DVec3::ZERO) > time_s {
                 high = middle;
             } else {
                 low = middle;
@@ -611,7 +611,7 @@ impl Reverberation {
         let taper = Taper::Kaiser(9.0);
         let sum = weights.iter().enumerate().filter(|(_, w)| **w != 0.0);
         sum.map(|(e, w)| {
-            let late_s = delay_s(low, self.rig.array.element_x_m(e)) - time_s;
+            let late_s = delay_s(low, self.rig.array.element_m(e)) - time_s;
             let at = sample as f64 + late_s * self.rate_hz;
             let row = &self.rows[e * self.rig.samples..][..self.rig.samples];
             let near = at.floor() as i64;
@@ -725,4 +725,100 @@ fn beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range() {
             assert!(error < 1e-2, "{name} from {first_m} m: {error:.1e}");
         }
     }
+}
+
+/// 200 elements on 115 degrees of an arc of 0.185 m.
+fn arc(samples: usize) -> Rig {
+    let mut rig = Rig::new(200, 0.5 * C / CARRIER_HZ, samples);
+    rig.array.radius_m = Some(0.185);
+    rig
+}
+
+#[test]
+fn beams_of_an_arc_focus_and_add_like_the_sum_over_their_elements() {
+    for (former, range_m, moves) in [
+        (Former::DynamicFocus, 0.7, true),
+        (Former::DynamicFocus, 12.0, true),
+        (Former::TimeDelay, 3000.0, false),
+    ] {
+        let mut rig = arc(AROUND);
+        rig.transmit_m = DVec3::new(0.1, 0.0, 0.03);
+        if moves {
+            rig.velocity_m_per_s = DVec3::new(4.0, 0.0, -1.0);
+        }
+        // In the middle, where apertures are whole, and at the ends, where they are cut off.
+        for degrees in [-62.0f64, -10.0, 0.0, 35.0, 57.0] {
+            let sine = degrees.to_radians().sin();
+            let mut spec = single(sine, former);
+            spec.shading = Shading::Taylor { side_lobe_db: 30.0 };
+            // Zones of one sample, so that the focus has no error.
+            spec.form.focus_error_rad = 1e-4;
+            let (point_m, sample) = rig.on_a_sample(sine, range_m);
+            let (frame, plan, sample) = rig.around(point_m, sample, rig.velocity_m_per_s);
+            let mut out = BeamFrame::default();
+            rig.former(&spec).form(&plan, &frame, &mut out);
+            let got = out.sample(0, sample);
+            // The envelope is read from rows at a few fractions of a sample.
+            let error = (got.norm() - 1.0).abs();
+            assert!(error < 0.01, "{former:?} at {degrees}: {error:.1e}");
+        }
+    }
+}
+
+#[test]
+fn beams_of_an_arc_have_the_same_width_and_the_widths_that_they_report() {
+    let tones = narrow(1, 0.5);
+    let rig = Rig {
+        pulse: tones.pulse,
+        ..arc(tones.samples)
+    };
+    let tone_from = |sine: f64| {
+        let toward = Rig::point(sine, 1.0);
+        let iq = (0..rig.array.elements).flat_map(|e| {
+            let early_s = rig.array.element_m(e).dot(toward) / C;
+            let value = Complex64::from_polar(1.0, TAU * CARRIER_HZ * early_s);
+            std::iter::repeat_n(value, rig.samples)
+        });
+        frame(rig.array.elements, rig.samples, iq.collect())
+    };
+    let mut all = Vec::new();
+    for degrees in [0.0f64, 15.0, -15.0, 50.0] {
+        let sine = degrees.to_radians().sin();
+        let mut spec = single(sine, Former::TimeDelay);
+        spec.shading = Shading::Taylor { side_lobe_db: 30.0 };
+        let mut beams = rig.former(&spec);
+        let mut out = BeamFrame::default();
+        let mut level = |rad: f64| {
+            beams.form(&rig.plan(DVec3::ZERO), &tone_from(rad.sin()), &mut out);
+            (out.sample(0, rig.samples / 2).norm(), out.width_rad[0])
+        };
+        let (on_axis, reported) = level(degrees.to_radians());
+        assert!((on_axis - 1.0).abs() < 1e-3, "{degrees}: {on_axis}");
+        let mut half = |toward: f64| {
+            let (mut inside, mut outside) = (0.0, 0.05);
+            for _ in 0..30 {
+                let middle = 0.5 * (inside + outside);
+                match level(degrees.to_radians() + toward * middle).0 > 0.5f64.sqrt() {
+                    true => inside = middle,
+                    false => outside = middle,
+                }
+            }
+            inside
+        };
+        let got = half(1.0) + half(-1.0);
+        // The reported width of a cut aperture supposes the shape of a whole one.
+        let limit = if degrees.abs() < 20.0 { 0.02 } else { 0.15 };
+        assert!(
+            (got / reported - 1.0).abs() < limit,
+            "{degrees}: measured {got:.5}, reported {reported:.5}"
+        );
+        all.push(got);
+    }
+    let [middle, right, left, end] = all[..] else {
+        unreachable!("four widths");
+    };
+    for width in [right, left] {
+        assert!((width / middle - 1.0).abs() < 0.02, "{width} and {middle}");
+    }
+    assert!(end > 1.1 * middle, "{end} and {middle}");
 }

@@ -21,15 +21,21 @@ pub(crate) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {
             "pattern": pattern(&t.pattern),
             "level_offset_db": t.level_offset_db,
         })).collect::<Vec<_>>(),
-        "receive": sonar.receive.iter().zip(&sonar.receive_names).map(|(r, name)| json!({
-            "name": name,
-            "mounting": mounting(&r.mounting),
-            "elements": r.elements,
-            "spacing_m": r.spacing_m,
-            "element_pattern": pattern(&r.element_pattern),
-            "sensitivity_db": r.sensitivity_db,
-            "transmit": r.transmit,
-        })).collect::<Vec<_>>(),
+        "receive": sonar.receive.iter().zip(&sonar.receive_names).map(|(r, name)| {
+            let mut array = json!({
+                "name": name,
+                "mounting": mounting(&r.mounting),
+                "elements": r.elements,
+                "spacing_m": r.spacing_m,
+                "element_pattern": pattern(&r.element_pattern),
+                "sensitivity_db": r.sensitivity_db,
+                "transmit": r.transmit,
+            });
+            if let Some(radius_m) = r.radius_m {
+                array["radius_m"] = json!(radius_m);
+            }
+            array
+        }).collect::<Vec<_>>(),
         "lines": sonar.beams.lines.iter().map(|l| json!({
             "side": side(l.side),
             "array": l.array,

@@ -46,6 +46,7 @@ pub fn sonar() -> SonarSpec {
         mounting: mounting(across_m),
         elements,
         spacing_m: 0.1,
+        radius_m: None,
         element_pattern: Pattern::Rectangle {
             length_m: 0.1,
             width_m: 0.01,

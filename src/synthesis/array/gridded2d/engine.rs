@@ -293,10 +293,8 @@ impl<T: Sample> LineEngine<T> {
             .map(|s| {
                 // Sections as equal as whole elements allow.
                 let (first, end) = (s * array.elements / count, (s + 1) * array.elements / count);
-                let middle_m = 0.5 * (array.element_x_m(first) + array.element_x_m(end - 1));
-                let along_m: Vec<f64> = (first..end)
-                    .map(|e| array.element_x_m(e) - middle_m)
-                    .collect();
+                let middle_m = 0.5 * (array.along_m(first) + array.along_m(end - 1));
+                let along_m: Vec<f64> = (first..end).map(|e| array.along_m(e) - middle_m).collect();
                 Section {
                     first,
                     middle_m,

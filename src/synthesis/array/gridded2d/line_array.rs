@@ -30,7 +30,7 @@ use super::sample::Sample;
 /// # use glam::{DQuat, DVec3};
 /// # let array = ArrayGeometry {
 /// #     mounting: Mounting { position_m: DVec3::ZERO, body_from_array: DQuat::IDENTITY },
-/// #     elements: 64, spacing_m: 1.875e-3, element_pattern: Pattern::Omnidirectional, sensitivity_db: 0.0, transmit: 0,
+/// #     elements: 64, spacing_m: 1.875e-3, radius_m: None, element_pattern: Pattern::Omnidirectional, sensitivity_db: 0.0, transmit: 0,
 /// # };
 /// # let pulse = Pulse { kind: PulseKind::LfmUp, center_frequency_hz: 400e3, bandwidth_hz: 30e3, duration_s: 5e-3, taper: 0.1 };
 /// # let model = ModelChoice {

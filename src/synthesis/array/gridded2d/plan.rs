@@ -179,6 +179,9 @@ pub enum Refusal {
     /// The Doppler model is not supported.
     #[error("doppler model `{}` is not supported: expected `none`, `stretch` or `stretch-quadratic`", .0.name())]
     Doppler(DopplerModel),
+    /// The elements lie on an arc.
+    #[error("an arc of elements is not supported: use gridded-lines or gridded-1d")]
+    Arc,
     /// There is no receiver filter.
     #[error("the receiver filter is required: without it the band of the pulse is unlimited")]
     NoFilter,
@@ -329,6 +332,9 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     } = *spec;
     if tolerance.is_nan() || tolerance < MIN_TOLERANCE {
         return Err(Refusal::TooFine { tolerance });
+    }
+    if array.radius_m.is_some() {
+        return Err(Refusal::Arc);
     }
     for (what, value, rule, ok) in [
         (
@@ -545,6 +551,9 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     .sqrt();
     if error > tolerance {
         return Err(Refusal::TooFine { tolerance });
+    }
+    if array.radius_m.is_some() {
+        return Err(Refusal::Arc);
     }
     Ok(Choice {
         resolution: Resolution {

@@ -129,7 +129,8 @@ impl ElementInstrument {
             .map(|second| second.max_arrivals(max_window_s))
             .sum();
         let elements = spec.receive.iter().flat_map(|array| {
-            [0, array.elements - 1].map(|element| array.element_body_m(element).length())
+            let outermost = array.outermost();
+            outermost.map(|element| array.element_body_m(element).length())
         });
         Ok(Some(Self {
             leaks: leaks(spec, instrument.leakage, filter.as_ref(), max_window_s),

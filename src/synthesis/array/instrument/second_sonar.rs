@@ -120,8 +120,9 @@ impl SecondSonarWaves {
         iq: &mut [Complex64],
     ) {
         let pose = &arrival.pose;
-        let arm_m = array.element_body_m(element);
-        let facing = pose.world_from_body * array.mounting.body_from_array;
+        let mounting = array.element_mounting(element);
+        let arm_m = mounting.position_m;
+        let facing = pose.world_from_body * mounting.body_from_array;
         let direction = facing.inverse() * self.direction;
         let wavelength_m = sound_speed_m_per_s / self.frequency_hz;
         let pattern = Directivity::new(&array.element_pattern, wavelength_m);

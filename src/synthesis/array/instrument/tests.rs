@@ -656,7 +656,7 @@ fn a_second_sonar_passes_the_receiver_filter() {
     plan.sample_count = 8000;
     let got = silence(&mut made(&spec), &plan, 0, 1);
     let towards_x = 0.2f64.cos() * 1.1f64.cos();
-    let arrival_s = 0.3123 - towards_x * spec.receive[0].element_x_m(1) / C;
+    let arrival_s = 0.3123 - towards_x * spec.receive[0].along_m(1) / C;
     let first_s = filter.dense_first_s(0.0);
     let dense: Vec<Complex64> = (0..filter.dense_len(plan.sample_count))
         .map(|k| first_s + k as f64 / filter.dense_rate_hz())
@@ -691,7 +691,7 @@ fn pulses_of_a_second_sonar_run_across_pings_on_its_own_clock() {
             let got = silence(&mut instrument, &plan, 0, 0);
             let heard: Vec<bool> = got.iter().map(|v| v.norm() > 0.0).collect();
             let starts = (1..SAMPLES).filter(|&k| heard[k] && !heard[k - 1]);
-            let ahead_s = 0.2f64.cos() * 1.1f64.cos() * spec.receive[0].element_x_m(0) / C;
+            let ahead_s = 0.2f64.cos() * 1.1f64.cos() * spec.receive[0].along_m(0) / C;
             for start in starts {
                 // In nanoseconds of UTC, less a whole number of its periods.
                 let at_ns = plan.transmit_utc.0 as i128 + (start as f64 / RATE_HZ * 1e9) as i128;

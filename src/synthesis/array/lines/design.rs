@@ -131,6 +131,9 @@ pub enum Refusal {
     /// An element of the array stands for several.
     #[error("combined elements are not supported: use gridded-1d")]
     Part,
+    /// The elements of an arc have a baffle, so that some of them hear what others do not.
+    #[error("baffled elements on an arc are not supported: use gridded-1d")]
+    BaffledArc,
     /// The pulse is too long for the longest slab.
     #[error(
         "a pulse of {duration_s} s is too long: a slab has {MAX_SLAB} samples of {rate_hz} Hz at most"
@@ -496,6 +499,11 @@ impl Design {
         if matches!(array.element_pattern, Pattern::Part { .. }) {
             return Err(Refusal::Part);
         }
+        if let (Some(_), Pattern::Rectangle { baffled: true, .. }) =
+            (array.radius_m, array.element_pattern)
+        {
+            return Err(Refusal::BaffledArc);
+        }
         if !(MIN_TOLERANCE..).contains(&tolerance) {
             return Err(Refusal::TooFine {
                 tolerance,
@@ -834,13 +842,13 @@ impl Design {
         let of = |counts: &NodeCounts| -> Vec<f64> { places(counts.delays).collect() };
         let counts = NODES
             .iter()
-            .find(|counts| self.interpolates(&of(counts), 1.0, counts.gains, array, nearest_m))?;
+            .find(|counts| self.interpolates(&of(counts), counts.gains, array, nearest_m))?;
         let (all, few) = (of(counts), coarse(&of(counts)));
         let ratio = (farthest_m / nearest_m).max(1.0);
         let ranges_m = (0..=PING_RANGES)
             .map(|k| nearest_m * ratio.powf(f64::from(k) / f64::from(PING_RANGES)));
         let errors = ranges_m.map(|range_m| {
-            let by_few = self.path_error_m(&few, self.coarse_share, 3, array, range_m);
+            let by_few = self.coarse_error_m(&few, array, range_m);
             let error = match by_few <= self.path_m {
                 true => by_few,
                 false => self.path_error_m(&all, 1.0, counts.gains, array, range_m),
@@ -860,7 +868,7 @@ impl Design {
     pub fn nodes(&self, array: &ArrayGeometry, nearest_m: f64) -> Option<usize> {
         let enough = |counts: &&NodeCounts| {
             let places: Vec<f64> = places(counts.delays).collect();
-            self.interpolates(&places, 1.0, counts.gains, array, nearest_m)
+            self.interpolates(&places, counts.gains, array, nearest_m)
         };
         NODES.iter().find(enough).map(|counts| counts.delays)
     }
@@ -877,26 +885,25 @@ impl Design {
         let is_coarse = |part: &u32| {
             let range_m = nearest_m
                 + (farthest_m - nearest_m) * (f64::from(*part) + 0.5) / f64::from(COARSE_PARTS);
-            self.interpolates(&coarse, self.coarse_share, 3, array, range_m)
+            self.coarse_error_m(&coarse, array, range_m) <= self.path_m
         };
         let distant = (0..COARSE_PARTS).filter(is_coarse).count() as f64;
         let (all, few) = (delays as f64, coarse.len() as f64);
         Some(all + (few - all) * distant / f64::from(COARSE_PARTS))
     }
 
-    /// Whether delays at `places` along `array`, of whose error a share is left, and gains at so many of them, are enough at `range_m` and beyond.
+    /// Whether delays at `places` along `array`, and gains at so many of them, are enough at `range_m` and beyond.
     fn interpolates(
         &self,
         places: &[f64],
-        share: f64,
         gains: usize,
         array: &ArrayGeometry,
         range_m: f64,
     ) -> bool {
-        self.path_error_m(places, share, gains, array, range_m) <= self.path_m
+        self.path_error_m(places, 1.0, gains, array, range_m) <= self.path_m
     }
 
-    /// Largest error of a path length, with that of the gains.
+    /// Largest error of a path length, of which a share is left, with that of the gains.
     fn path_error_m(
         &self,
         places: &[f64],
@@ -912,23 +919,26 @@ impl Design {
             Pattern::Omnidirectional | Pattern::Part { .. } => 0.0,
         };
         let of = [element_m, self.wavelength_m];
-        let gain_error = gain_error(gains, of, half_m, block_m, range_m);
+        let line = (half_m, array.radius_m);
+        let gain_error = gain_error(gains, of, line, block_m, range_m);
         let as_path_m = gain_error * self.wavelength_m / TAU;
-        let [along_m, block_m] = interpolation_errors_m(places, half_m, block_m, range_m);
+        let [along_m, block_m] = interpolation_errors_m(places, line, block_m, range_m);
         let path_m = share * along_m + block_m;
         path_m.hypot(as_path_m)
     }
 
-    /// Range from which on `places` and so many gains are enough along `array`, metres; infinite if they never are.
-    fn enough_from_m(
-        &self,
-        places: &[f64],
-        share: f64,
-        gains: usize,
-        array: &ArrayGeometry,
-    ) -> f64 {
+    /// The same where delays are solved at [`coarse`] nodes only. The squares of receive legs are no polynomials along an arc.
+    fn coarse_error_m(&self, few: &[f64], array: &ArrayGeometry, range_m: f64) -> f64 {
+        match array.radius_m {
+            None => self.path_error_m(few, self.coarse_share, 3, array, range_m),
+            Some(_) => f64::INFINITY,
+        }
+    }
+
+    /// Range from which on the error is small enough along `array`, metres; infinite if it never is.
+    fn enough_from_m(&self, array: &ArrayGeometry, error_m: impl Fn(f64) -> f64) -> f64 {
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
-        let fits = |range_m: &f64| self.interpolates(places, share, gains, array, *range_m);
+        let fits = |range_m: &f64| error_m(*range_m) <= self.path_m;
         let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
         ranges_m.take_while(fits).last().unwrap_or(f64::INFINITY)
     }
@@ -937,7 +947,9 @@ impl Design {
     pub(super) fn near_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
         NODES.map(|counts| {
             let places: Vec<f64> = places(counts.delays).collect();
-            self.enough_from_m(&places, 1.0, counts.gains, array)
+            self.enough_from_m(array, |range_m| {
+                self.path_error_m(&places, 1.0, counts.gains, array, range_m)
+            })
         })
     }
 
@@ -945,7 +957,8 @@ impl Design {
     pub(super) fn coarse_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
         NODES.map(|counts| {
             let places: Vec<f64> = places(counts.delays).collect();
-            self.enough_from_m(&coarse(&places), self.coarse_share, 3, array)
+            let few = coarse(&places);
+            self.enough_from_m(array, |range_m| self.coarse_error_m(&few, array, range_m))
         })
     }
 }

@@ -399,6 +399,7 @@ impl GriddedLines {
         let max_curvature_rad = self.design.max_curvature_rad as f32;
         let half_s = 0.5 * plan.pulse.duration_s;
         let carrier_hz = plan.pulse.center_frequency_hz;
+        let is_arc = array.radius_m.is_some();
         let (tracks, geometry) = (&state.tracks, &state.geometry);
         state.batches[..batches]
             .par_iter_mut()
@@ -456,8 +457,13 @@ impl GriddedLines {
                             let column = chunk.doppler[gains / 2][i].round() + reach as f32;
                             let column = column.max(0.0).min((width - 1) as f32);
                             energy_at[i] = (part * width as f64 + f64::from(column)) as u32;
-                            let (gain, re, im) =
-                                (chunk.gain[gains / 2][i], chunk.re[i], chunk.im[i]);
+                            let (re, im) = (chunk.re[i], chunk.im[i]);
+                            let gain = match is_arc {
+                                false => chunk.gain[gains / 2][i],
+                                true => chunk.gain[..gains]
+                                    .iter()
+                                    .fold(0.0, |most: f32, gain| most.max(gain[i].abs())),
+                            };
                             energy[i] = gain * gain * (re * re + im * im);
                             let swing = (chunk.doppler[gains - 1][i] - chunk.doppler[0][i]).abs();
                             let fast = (chunk.doppler[gains / 2][i].abs() > most)

@@ -35,7 +35,7 @@ pub(super) struct NodeCounts {
 }
 
 /// Numbers of nodes to select from, in the order of their cost.
-pub(super) const NODES: [NodeCounts; 6] = [
+pub(super) const NODES: [NodeCounts; 7] = [
     NodeCounts {
         delays: 3,
         gains: 3,
@@ -56,6 +56,11 @@ pub(super) const NODES: [NodeCounts; 6] = [
         delays: MAX_NODES,
         gains: 3,
     },
+    NodeCounts {
+        delays: MAX_NODES,
+        gains: 5,
+    },
+    // Of wide arcs.
     NodeCounts {
         delays: MAX_NODES,
         gains: MAX_GAIN_NODES,
@@ -149,19 +154,22 @@ pub(super) fn block_weights(
 /// over blocks of `block_m`, for points at `range_m`: rms over all directions, at the worst element.
 ///
 /// The pattern is a mean of exp(j t x) over |t| < 1, of x = pi u `element_m`/lambda, so that the rms of its derivative of order n is 1/sqrt(2n + 1).
+/// Along an arc u changes with the normal too, by at most 1/R per metre.
 pub(super) fn gain_error(
     gain_nodes: usize,
     [element_m, wavelength_m]: [f64; 2],
-    half_m: f64,
+    (half_m, radius_m): (f64, Option<f64>),
     block_m: f64,
     range_m: f64,
 ) -> f64 {
-    let per_m = PI * element_m / (wavelength_m * range_m);
+    let turn_per_m = 1.0 / range_m + radius_m.map_or(0.0, |radius_m| 1.0 / radius_m);
+    let per_m = PI * element_m / wavelength_m * turn_per_m;
     let (line, block) = (per_m * half_m, per_m * 0.5 * block_m);
     // Largest product of the distances from the nodes, over the factorial of their number.
     let of_line = match gain_nodes {
         3 => 0.06 * line.powi(3) / 7f64.sqrt(),
-        _ => 5.4e-4 * line.powi(5) / 11f64.sqrt(),
+        5 => 5.4e-4 * line.powi(5) / 11f64.sqrt(),
+        _ => 1.1e-8 * line.powi(9) / 19f64.sqrt(),
     };
     let of_block = match gain_nodes {
         // A quadratic.
@@ -177,21 +185,31 @@ pub(super) fn coarse(nodes: &[f64]) -> [f64; 3] {
     [nodes[0], nodes[nodes.len() / 2], nodes[nodes.len() - 1]]
 }
 
-/// Largest errors of a path length for points at `range_m` in all directions, metres: interpolated from nodes at `places` over a line of `half_m` to
-/// either side, and cubic over blocks of `block_m`.
+/// Largest errors of a path length for points at `range_m` in all directions, metres: interpolated from nodes at `places` over a line or arc of `half_m`
+/// to either side, and cubic over blocks of `block_m`.
 pub(super) fn interpolation_errors_m(
     places: &[f64],
-    half_m: f64,
+    (half_m, radius_m): (f64, Option<f64>),
     block_m: f64,
     range_m: f64,
 ) -> [f64; 2] {
     let mut worst: f64 = 0.0;
-    for angle in 0..=6 {
-        let sine = libm::sin(f64::from(angle) * PI / 12.0);
+    // Directions on one side of the boresight: all of a line's; those behind an arc, too.
+    let angles = if radius_m.is_some() { 12 } else { 6 };
+    for angle in 0..=angles {
+        let (sine, cosine) = libm::sincos(f64::from(angle) * PI / 12.0);
         let path = |y: f64| {
-            (range_m * range_m - 2.0 * range_m * y * sine + y * y)
-                .max(0.0)
-                .sqrt()
+            // Along the array's axis, and behind its centre.
+            let (x_m, behind_m) = match radius_m {
+                None => (y, 0.0),
+                Some(radius_m) => {
+                    let (sin, cos) = libm::sincos(0.5 * y / radius_m);
+                    (2.0 * radius_m * sin * cos, 2.0 * radius_m * sin * sin)
+                }
+            };
+            let square_m2 =
+                x_m * x_m + behind_m * behind_m - 2.0 * range_m * (x_m * sine - behind_m * cosine);
+            (range_m * range_m + square_m2).max(0.0).sqrt()
         };
         let at: Vec<f64> = places.iter().map(|place| path(place * half_m)).collect();
         for k in 0..=16 {
@@ -201,15 +219,21 @@ pub(super) fn interpolation_errors_m(
             worst = worst.max((sum - path(x * half_m)).abs());
         }
     }
-    // Fourth order over half a block: cos^2 (5 sin^2 - 1) is at most 1.
+    // Fourth order over half a block: cos^2 (5 sin^2 - 1) is at most 1. On an arc the point in the far field contributes R cos(y/R).
     let half_block_m = 0.5 * block_m;
-    [worst, half_block_m.powi(4) / (8.0 * range_m.powi(3))]
+    let of_arc = radius_m.map_or(0.0, |radius_m| {
+        half_block_m.powi(4) / (24.0 * radius_m.powi(3))
+    });
+    [
+        worst,
+        of_arc + half_block_m.powi(4) / (8.0 * range_m.powi(3)),
+    ]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::array::lines::spread::LANES;
+    use crate::array::lines::spread::{LANES, lanes_for};
 
     #[test]
     fn weights_reproduce_value_and_derivatives_of_a_polynomial() {
@@ -248,7 +272,7 @@ mod tests {
                     let x = PI * element_m / wavelength_m * (sine - along_m / range_m);
                     if x.abs() < 1e-9 { 1.0 } else { x.sin() / x }
                 };
-                let (mut off, mut all) = ([0.0f64; 48], 0.0);
+                let (mut off, mut all) = ([0.0f64; 40], 0.0);
                 for k in 0..4000 {
                     let sine = f64::from(k) / 2000.0 - 1.0;
                     let at: Vec<f64> = (0..counts.gains)
@@ -257,18 +281,20 @@ mod tests {
                         .collect();
                     all += gain(0.0, sine).powi(2);
                     for block in 0..3 {
-                        let middle = (block * LANES) as f64 + 7.5 - 19.5;
+                        let lanes = lanes_for(40 - block * LANES);
+                        let half = 0.5 * (lanes as f64 - 1.0);
+                        let middle = (block * LANES) as f64 + half - 19.5;
                         let per_element = 0.05;
                         let weights = block_weights(
                             &nodes,
                             counts.gains,
-                            LANES,
+                            lanes,
                             middle * per_element,
                             per_element,
                         );
-                        for lane in 0..LANES {
+                        for lane in 0..lanes {
                             let element = block * LANES + lane;
-                            let place = lane as f64 - 7.5;
+                            let place = lane as f64 - half;
                             let sum = weights.gain.iter().rev().fold(0.0, |sum, terms| {
                                 let parts = terms.iter().zip(&at);
                                 let term: f64 = parts.map(|(w, g)| f64::from(*w) * g).sum();
@@ -279,12 +305,11 @@ mod tests {
                         }
                     }
                 }
-                // Lanes beyond the last element do not count.
-                let worst = off[..40].iter().copied().fold(0.0, f64::max);
+                let worst = off.iter().copied().fold(0.0, f64::max);
                 let measured = (worst / all).sqrt();
                 let block_m = LANES as f64 * 0.025;
                 let of = [element_m, wavelength_m];
-                let predicted = gain_error(counts.gains, of, half_m, block_m, range_m);
+                let predicted = gain_error(counts.gains, of, (half_m, None), block_m, range_m);
                 println!("{counts:?}, {range_m} m: {measured:.2e}, {predicted:.2e} predicted");
                 assert!(measured < predicted && measured > 0.3 * predicted);
             }
@@ -295,7 +320,7 @@ mod tests {
     fn more_nodes_and_longer_ranges_interpolate_better() {
         let error = |nodes, range_m| {
             let places: Vec<f64> = places(nodes).collect();
-            let [along_m, block_m] = interpolation_errors_m(&places, 0.2, 0.026, range_m);
+            let [along_m, block_m] = interpolation_errors_m(&places, (0.2, None), 0.026, range_m);
             along_m + block_m
         };
         assert!(error(5, 2.0) < 0.1 * error(3, 2.0));

@@ -1,7 +1,7 @@
-//! Walk for whole line arrays: the middle of every echo at a few points along the line. Engines interpolate between these nodes.
+//! Walk for whole arrays: the middle of every echo at a few points along the line or arc. Engines interpolate between these nodes.
 //!
-//! Delays, motion and amplitudes are smooth along a line. Delays are solved at all nodes in the same way as in [`super::arrivals`].
-//! Stretch and gain are computed at three or five of them, the first and the last included.
+//! Delays, motion and amplitudes are smooth along it. Delays are solved at all nodes in the same way as in [`super::arrivals`].
+//! Stretch and gain are computed at three, five or all nine of them, the first and the last included.
 
 use crate::arrivals::CHUNK;
 use echotank_core::arrays::ArrayGeometry;
@@ -17,7 +17,7 @@ use super::{
 /// Maximum number of nodes along a line.
 pub const MAX_NODES: usize = 9;
 /// Maximum number of nodes with stretch and gain.
-pub const MAX_GAIN_NODES: usize = 5;
+pub const MAX_GAIN_NODES: usize = MAX_NODES;
 
 /// Tracks of the nodes through one ping, shared by all threads.
 #[derive(Debug, Default)]
@@ -90,7 +90,7 @@ impl NodeTracks {
     }
 
     /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`]. `gain_nodes` is
-    /// three, or five where five or nine points are given. Batches of scatterers from `coarse_from_m` on are computed at the first, the middle and the last
+    /// three, five where five or nine points are given, or nine of nine. Batches of scatterers from `coarse_from_m` on are computed at the first, the middle and the last
     /// node, and interpolated at the others: stretches, gains, and the squares of receive legs. On a line at rest these squares are quadratic exactly;
     /// motion leaves about v/c of the error that delays would have.
     pub fn compute(
@@ -108,7 +108,8 @@ impl NodeTracks {
             "{nodes} nodes"
         );
         assert!(
-            matches!(gain_nodes, 3 | 5) && (nodes - 1).is_multiple_of(gain_nodes - 1),
+            matches!(gain_nodes, 3 | 5 | MAX_GAIN_NODES)
+                && (nodes - 1).is_multiple_of(gain_nodes - 1),
             "gains at {gain_nodes} of {nodes} nodes"
         );
         self.nodes = nodes;
@@ -164,6 +165,7 @@ impl NodeTracks {
         let receive = ReceiveLeg::new(plan, array);
         let floor = pattern_floor(plan);
         let half_s = 0.5 * plan.pulse.duration_s;
+        let is_arc = array.radius_m.is_some();
         let elements = array.elements as u64;
         let mut counts = EchoCounts::default();
         let (span, batch) = transmit_leg.batch(b);
@@ -214,7 +216,9 @@ impl NodeTracks {
                 counts.two_roots += odd.two_roots * elements;
                 for (i, amplitude) in transmit_leg.amplitude[span.clone()].iter().enumerate() {
                     out.amplitude[i] = *amplitude;
-                    let keep = received.level[i] >= floor && *amplitude != Complex64::ZERO;
+                    // Where the middle of an arc hears nothing, other elements may.
+                    let audible = received.level[i] >= floor || is_arc;
+                    let keep = audible && *amplitude != Complex64::ZERO;
                     out.keep[i] = keep;
                     counts.culled += u64::from(!keep) * elements;
                     let near = received.range_m[i] < receive.one_way.wavelength_m;

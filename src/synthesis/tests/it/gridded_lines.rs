@@ -513,3 +513,72 @@ fn squares_of_receive_legs_are_quadratic_along_the_line_but_for_motion() {
         assert!(stretch < 1e-3 * mach, "{stretch:e}");
     }
 }
+
+/// 160 elements on arcs of 57 to 150 degrees.
+#[test]
+fn arcs_keep_their_tolerance_in_every_window() {
+    for (half_turn, element_m) in [(0.5, 0.0), (1.3, 0.0), (0.5, 1.8e-3), (1.05, 1.8e-3)] {
+        let drawn = Draw {
+            elements: 160,
+            sector_deg: 65.0,
+            velocity_m_per_s: DVec3::new(4.0, 0.5, 0.3),
+            ..SCENE
+        };
+        let mut scene = short(drawn, 0.4e-3, 20e3);
+        let half_m = scene.rx.along_m(scene.rx.elements - 1);
+        scene.rx.radius_m = Some(half_m / half_turn);
+        scene.rx.mounting.body_from_array = echotank_testing::echo::starboard();
+        if element_m > 0.0 {
+            scene.rx.element_pattern = Pattern::Rectangle {
+                length_m: element_m,
+                width_m: 0.0,
+                baffled: false,
+            };
+        }
+        let elements = [0, 63, 80, 159];
+        let truths = elements.map(|element| truth(&scene, element, false));
+        for tolerance in [1e-3, 1e-2] {
+            let mut engine = match made(&scene, tolerance, SimdLevel::best()) {
+                Ok(engine) => engine,
+                Err(refusal) => panic!("{half_turn} rad, {tolerance:e}: {refusal}"),
+            };
+            let (leg, _) = scene.transmit_leg();
+            let count = scene.plan.sample_count;
+            let mut iq = vec![Complex64::ONE; scene.rx.elements * count];
+            let counts = engine.synthesise(&scene.plan, &leg, &mut iq);
+            let error = elements.iter().zip(&truths).map(|(&element, want)| {
+                worst(
+                    &iq[element * count..][..count],
+                    want,
+                    scene.plan.pulse.duration_s,
+                )
+            });
+            let error = error.fold(0.0, f64::max);
+            let design = Design::new(&spec(&scene, &scene.rx, tolerance)).expect("as before");
+            let nodes = design.nodes(&scene.rx, 10.0);
+            println!(
+                "{half_turn} rad, {element_m} m: asked {tolerance:.0e}, delivered {error:.1e}, {nodes:?} nodes"
+            );
+            // Where no number of nodes is enough, every echo is counted.
+            match nodes {
+                Some(_) => assert!(error <= tolerance && counts.beyond_engine == 0),
+                None => assert!(counts.beyond_engine == counts.used),
+            }
+            assert!(nodes.is_some() || (half_turn > 1.0 && tolerance < 1e-2));
+        }
+    }
+}
+
+#[test]
+fn baffled_elements_on_an_arc_are_refused() {
+    let mut scene = draw(SCENE);
+    scene.rx.radius_m = Some(0.2);
+    let made_of = |scene: &Scene| Design::exists(&spec(scene, &scene.rx, 1e-2)).err();
+    assert_eq!(made_of(&scene), None);
+    scene.rx.element_pattern = Pattern::Rectangle {
+        length_m: 1e-3,
+        width_m: 0.0,
+        baffled: true,
+    };
+    assert_eq!(made_of(&scene), Some(Refusal::BaffledArc));
+}

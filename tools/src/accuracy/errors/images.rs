@@ -98,6 +98,7 @@ fn sonar() -> (TransmitArray, ArrayGeometry) {
     let rx = ArrayGeometry {
         elements: ELEMENTS,
         spacing_m: APERTURE_M / ELEMENTS as f64,
+        radius_m: None,
         ..rx
     };
     (tx, rx)

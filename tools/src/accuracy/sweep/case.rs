@@ -516,6 +516,7 @@ pub(crate) fn random(seed: u64) -> Case {
         mounting: mounting(place(&mut chance), attitude(&mut chance)),
         elements: 1 + (chance.uniform() * 24.0) as usize,
         spacing_m: chance.between(0.3, 1.5) * wavelength_m,
+        radius_m: None,
         element_pattern: pattern(&mut chance),
         sensitivity_db: 0.0,
         transmit: 0,

@@ -529,6 +529,7 @@ impl Imager {
                 mounting,
                 elements: 1,
                 spacing_m: 0.0,
+                radius_m: None,
                 element_pattern: face,
                 sensitivity_db: -180.0,
                 transmit: 0,

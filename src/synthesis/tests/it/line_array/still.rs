@@ -87,7 +87,7 @@ fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
         let (transmit_leg, _) = scene.transmit_leg();
         let work = [Mutex::new(LineWorkspace::default())];
         let echoes = scene.echoes(&transmit_leg, &work);
-        let end_m = scene.rx.element_x_m(scene.rx.elements - 1);
+        let end_m = scene.rx.along_m(scene.rx.elements - 1);
         let mut delays = Delays(f64::INFINITY, 0.0);
         for middle_m in [-end_m, 0.0, end_m] {
             let section = LineSection {
