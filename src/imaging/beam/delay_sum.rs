@@ -273,7 +273,7 @@ impl DelaySumFormer {
         let zones = match fan.form.former {
             Former::DynamicFocus => {
                 let half_m = match &arc {
-                    Some(arc) => arc.reach_m,
+                    Some(arc) => arc.half_m,
                     None => 0.5 * array.spacing_m * array.elements as f64,
                 };
                 let wavelength_m = c / pulse.center_frequency_hz;
@@ -331,10 +331,10 @@ impl DelaySumFormer {
         self.sum(plan, out);
     }
 
-    /// Half the aperture in use at a range, metres; of an arc, the distance of its farthest element from the axis of a beam.
+    /// Half the aperture in use at a range, metres; of an arc, that of a line with the same error of focus.
     fn half_aperture_m(&self, range_m: f64) -> f64 {
         if let Some(arc) = &self.steered.arc {
-            return arc.reach_m;
+            return arc.half_m;
         }
         let whole = 0.5 * self.steered.spacing_m() * self.x_m.len() as f64;
         match self.f_number {

@@ -19,8 +19,8 @@ pub(crate) struct ArcApertures {
     weights: Vec<f32>,
     /// Half the -3 dB width of a whole aperture as a sine, times the standard deviation of its elements across the beam in wavelengths.
     half_width: f64,
-    /// Largest distance of an element in use from the axis of a beam that uses it, metres.
-    pub(super) reach_m: f64,
+    /// A line about the axis of its beam with half this length has the largest error of focus, metres.
+    pub(super) half_m: f64,
 }
 
 /// One beam.
@@ -70,7 +70,7 @@ impl ArcApertures {
             beams: Vec::with_capacity(fan.beams),
             weights: Vec::new(),
             half_width: half_power_sine(&weights, &across),
-            reach_m: 0.0,
+            half_m: 0.0,
         })
     }
 
@@ -78,7 +78,7 @@ impl ArcApertures {
     pub(crate) fn aim(&mut self, sines: &[f64]) {
         self.beams.clear();
         self.weights.clear();
-        self.reach_m = 0.0;
+        let mut square_m2 = 0.0f64;
         let last = self.normal_rad.len() - 1;
         for sine in sines {
             let angle_rad = sine.clamp(-1.0, 1.0).asin();
@@ -109,7 +109,10 @@ impl ArcApertures {
                 })
                 .collect();
             let sum: f64 = own.iter().map(|(_, weight)| weight).sum();
-            self.reach_m = own.iter().fold(self.reach_m, |m, (x, _)| m.max(x.abs()));
+            // Elements from y - h to y + h across the axis: squares differ from y^2, which is common to all, by h (h + 2 |y|) at most.
+            let [a, b] = [0, own.len() - 1].map(|e| own[e].0);
+            let (middle_m, half_m) = (0.5 * (a + b), 0.5 * (b - a).abs());
+            square_m2 = square_m2.max(half_m * (half_m + 2.0 * middle_m.abs()));
             let before = own.iter().scan(0.0, |sum: &mut f64, (_, weight)| {
                 *sum += weight;
                 Some(*sum)
@@ -124,6 +127,7 @@ impl ArcApertures {
             self.weights
                 .extend(own.iter().map(|(_, weight)| (weight / sum) as f32));
         }
+        self.half_m = square_m2.sqrt();
     }
 
     /// Weights of some of the elements of a beam.
