@@ -69,13 +69,13 @@ class ReceiveArray:
     name: str
     elements: int
     spacing_m: float
-    # Of an arc; 0 for a straight line.
-    radius_m: float
     position_m: np.ndarray
     roll_pitch_yaw_deg: tuple
     transmit: int
     level_db: float
     pattern: Pattern = dataclasses.field(default_factory=Pattern)
+    # Of an arc; 0 for a straight line.
+    radius_m: float = 0.0
 
 
 @dataclasses.dataclass
@@ -156,10 +156,10 @@ def load_rig(path, sonar_name=None, changes=()):
     source_level_db = float(sonar["ping"].get("source_level_db", 0.0))
     receive = [ReceiveArray(
         name=a.get("name", str(i)), elements=int(a["elements"]), spacing_m=float(a.get("spacing_m", 0.0)),
-        radius_m=float(a.get("radius_m", 0.0)),
         position_m=np.array(a.get("position_m", [0, 0, 0]), float),
         roll_pitch_yaw_deg=angles_of(a), transmit=transmit_names.index(a["transmit"]),
         level_db=source_level_db + float(a.get("sensitivity_db", -190.0)), pattern=pattern_of(a, "element_pattern", "element_"),
+        radius_m=float(a.get("radius_m", 0.0)),
     ) for i, a in enumerate(sonar["receive"])]
     return Rig(
         sound_speed_m_per_s=float(config["medium"]["sound_speed_m_per_s"]),

@@ -8,9 +8,16 @@ fn first_line(path: &str, key: &str) -> Option<String> {
     Some(line.split(':').next_back()?.trim().to_string())
 }
 
+/// Model of the processor.
+pub(crate) fn processor() -> String {
+    let name = first_line("/proc/cpuinfo", "model name").unwrap_or_else(|| "unknown".into());
+    let name = name.replace("(R)", "");
+    name.split(" Processor").next().unwrap_or(&name).to_owned()
+}
+
 /// Processor, cores, vector instructions and one-minute load average.
 pub(crate) fn describe() -> String {
-    let processor = first_line("/proc/cpuinfo", "model name").unwrap_or_else(|| "unknown".into());
+    let processor = processor();
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
     let simd_level = echotank_core::simd::SimdLevel::best();
     format!(

@@ -275,6 +275,7 @@ struct Row {
     error: Option<f64>,
     norm: String,
     tolerance: f64,
+    processor: String,
 }
 
 impl Row {
@@ -339,6 +340,7 @@ impl Row {
                 .iter()
                 .map(|s| s.synthesis.tolerance)
                 .fold(f64::INFINITY, f64::min),
+            processor: crate::machine::processor(),
         }
     }
 

@@ -139,8 +139,8 @@ fn range_of(angle_rad: f64) -> f64 {
     (DEPTH_M + deeper) / angle_rad.cos()
 }
 
-/// Computes a ping. The platform rests with heading east, so port is to the north.
-fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
+/// Computes a ping of `rig`. The platform rests with heading east, so port is to the north.
+fn made(rig: &str, folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     let mut points = "north_m,east_m,down_m,amplitude\n".to_owned();
     for beam in -BEAMS..=BEAMS {
         let angle = (f64::from(beam) * BEAM_STEP_DEG).to_radians();
@@ -160,7 +160,7 @@ fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     }
     std::fs::write(folder.join("points.csv"), points).expect("written");
     std::fs::write(folder.join("track.csv"), track).expect("written");
-    let spec = echotank_runtime::config_files::parse(RIG, folder).unwrap_or_else(|e| panic!("{e}"));
+    let spec = echotank_runtime::config_files::parse(rig, folder).unwrap_or_else(|e| panic!("{e}"));
     let (plan, output) = pool(1).expect("a thread").install(|| {
         let mut recorded = RecordedRig::open(&spec).unwrap_or_else(|e| panic!("{e}"));
         let (sonar, order) = recorded.next_order(1).expect("a ping");
@@ -541,10 +541,33 @@ fn vita49(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
     }
 }
 
+/// The fan's elements on 117 degrees of an arc: beams by the elements that look towards them.
+#[test]
+fn the_fan_of_an_arc_puts_the_bottom_within_one_sample_of_its_depth() {
+    let arc = RIG
+        .replace(
+            "elements = 96\nspacing_m = 0.00375",
+            "elements = 136\nspacing_m = 0.00375\nradius_m = 0.25",
+        )
+        .replace(
+            "bottom_detection = true",
+            "bottom_detection = true\nformer = \"dynamic-focus\"",
+        );
+    assert_ne!(arc, RIG);
+    let folder = tempfile::tempdir().expect("a folder");
+    let (spec, plan, output) = made(&arc, folder.path());
+    assert_eq!(output.soundings.len(), 17, "a sounding a beam");
+    for s in &output.soundings {
+        let range_m = 0.5 * SOUND_M_PER_S * s.twtt_s;
+        on_the_bottom("soundings", range_m, s.angle_rad, DEPTH_M / 200.0);
+    }
+    sevenk(&spec.sonars[0], &plan, &output);
+}
+
 #[test]
 fn every_family_puts_the_bottom_of_a_whole_ping_within_one_sample_of_its_depth() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (spec, plan, output) = made(folder.path());
+    let (spec, plan, output) = made(RIG, folder.path());
     let sonar = &spec.sonars[0];
     assert_eq!(output.soundings.len(), 17, "a sounding a beam");
     // The flat phase of a single point has no definite zero crossing, so half a percent of the depth is allowed.
