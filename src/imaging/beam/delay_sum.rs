@@ -32,6 +32,7 @@
 //! range shift through range-Doppler coupling).
 
 mod arc;
+mod arc_groups;
 mod groups;
 mod interpolation;
 mod second_sum;
@@ -44,6 +45,7 @@ use num_complex::Complex32;
 use rayon::prelude::*;
 
 pub(super) use arc::ArcApertures;
+use arc_groups::ArcGroups;
 
 use super::RowLimits;
 use super::kernel::{BLOCK, MAX_SAMPLES, STEP, Sums, Taps, add_rows};
@@ -95,6 +97,7 @@ pub(crate) struct DelaySumFormer {
     tiles: Vec<Tile>,
     interpolation: Interpolation,
     groups: Option<Groups>,
+    arc_groups: Option<ArcGroups>,
     /// Of this ping, where the groups serve.
     directions: Option<Directions>,
     simd_level: SimdLevel,
@@ -187,7 +190,15 @@ impl DelaySumFormer {
             rows,
         );
         let groups = groups.filter(|_| array.radius_m.is_none());
-        let capacity = groups.as_ref().map_or(0, |groups| groups.capacity);
+        let arc_groups = steered.arc.as_ref().and_then(|arc| {
+            let pulse = (pulse, limits.sample_rate_hz, c);
+            ArcGroups::new(array, (arc, has_halves), sector, pulse, rows)
+        });
+        let capacity = match (&groups, &arc_groups) {
+            (Some(groups), _) => groups.capacity,
+            (None, Some(groups)) => groups.capacity,
+            (None, None) => 0,
+        };
         let room = capacity * 2 * MAX_SAMPLES + STEP;
         let grid_room = BLOCK.min(elements) * MAX_FRACTIONS * 2 * grid_row(margin) + STEP;
         let mut former = Self {
@@ -210,6 +221,7 @@ impl DelaySumFormer {
             tiles: Vec::with_capacity(limits.samples),
             interpolation,
             groups,
+            arc_groups,
             directions: None,
             simd_level: SimdLevel::best(),
             workers: (0..rayon::current_num_threads().max(1))
@@ -259,8 +271,18 @@ impl DelaySumFormer {
             arc.aim(&super::directions::Directions::new(array, fan).sine);
             arc
         });
+        let arc_groups = arc.as_ref().and_then(|arc| {
+            let of = (arc, fan.form.bottom_detection);
+            ArcGroups::new(array, of, sector, (pulse, rate_hz, c), rows)
+        });
         let (sums, parts) = match (&groups, &arc) {
-            (_, Some(arc)) => ((arc.terms() * rows) as f64, arc.terms() / fan.beams.max(1)),
+            (_, Some(arc)) => match &arc_groups {
+                Some(groups) => {
+                    let directions = groups.directions(sector, pulse, band_hz(pulse), c);
+                    (groups.products(&directions, rows), groups.parts.len())
+                }
+                None => ((arc.terms() * rows) as f64, arc.terms() / fan.beams.max(1)),
+            },
             (Some(groups), None) => (
                 groups.products((sector, fan.beams), (pulse, c), rows),
                 groups.parts.len(),
@@ -436,6 +458,15 @@ impl DelaySumFormer {
 
     /// Directions of the groups for the fan of this ping, if there is room for them.
     fn aim_groups(&mut self) {
+        if let (Some(groups), Some(arc)) = (&mut self.arc_groups, &self.steered.arc) {
+            groups.aim(arc, self.has_halves);
+            let pulse = self.steered.correlator.pulse();
+            let sector = ends(&self.steered.directions.sine);
+            let c = self.steered.sound_speed_m_per_s;
+            let directions = groups.directions(sector, pulse, band_hz(pulse), c);
+            self.directions = (directions.count <= groups.capacity).then_some(directions);
+            return;
+        }
         self.directions = self.groups.as_ref().and_then(|groups| {
             let pulse = self.steered.correlator.pulse();
             let sector = ends(&self.steered.directions.sine);
@@ -457,15 +488,19 @@ impl DelaySumFormer {
                 end: (first + MAX_SAMPLES).min(samples),
                 time_s: None,
             };
-            let groups = self.groups.as_ref().filter(|_| self.directions.is_some());
-            if let Some(groups) = groups {
+            let pulse = self.steered.correlator.pulse();
+            let curvature = match (&self.groups, &self.arc_groups) {
+                (Some(groups), _) => Some(groups.max_curvature_per_m(pulse, c)),
+                (None, Some(groups)) => Some(groups.max_curvature_per_m(pulse, c)),
+                (None, None) => None,
+            };
+            if let Some(curvature) = curvature.filter(|_| self.directions.is_some()) {
                 let near_m = self.range_m(first, first_sample_s);
                 let (far_m, serve) = if !is_focused {
                     (f64::INFINITY, true)
                 } else if near_m < min_focus_m || !self.uses_whole_line(near_m) {
                     (min_focus_m.max(1.05 * near_m), false)
                 } else {
-                    let curvature = groups.max_curvature_per_m(self.steered.correlator.pulse(), c);
                     let far = 1.0 / near_m - 2.0 * curvature;
                     (if far > 0.0 { 1.0 / far } else { f64::INFINITY }, true)
                 };
@@ -542,8 +577,11 @@ impl DelaySumFormer {
                 // SAFETY: each tile has samples of its own, and one worker.
                 unsafe {
                     match (tile.time_s, &this.steered.arc) {
-                        (Some(time_s), _) => {
+                        (Some(time_s), None) => {
                             this.sum_groups(&steering, tile, time_s, worker, &out);
+                        }
+                        (Some(time_s), Some(_)) => {
+                            this.sum_arc_groups(&steering, tile, time_s, worker, &out);
                         }
                         (None, Some(arc)) => this.sum_arc(arc, &steering, tile, worker, &out),
                         (None, None) => this.sum_elements(&steering, tile, worker, &out),
@@ -665,7 +703,16 @@ impl DelaySumFormer {
                         let (interpolation, to_sum) = (&self.interpolation, (places, weights));
                         self.simd_level.run(
                             #[inline(always)]
-                            || steering.steer_arc(focus, to_sum, interpolation, layout, &mut taps),
+                            || {
+                                steering.steer_arc(
+                                    focus,
+                                    to_sum,
+                                    0.0,
+                                    interpolation,
+                                    layout,
+                                    &mut taps,
+                                )
+                            },
                         );
                         let total = total[s].part(from - tile.first..to - tile.first);
                         add_rows(self.simd_level, &worker.grid, row, &taps, total);
@@ -739,17 +786,12 @@ impl DelaySumFormer {
                         }
                     },
                 );
-                let chunks = worker.directions.chunks_mut(chunk_rows);
-                for (from, rows) in (0..samples).step_by(CHUNK).zip(chunks) {
-                    let rows = &mut rows[2 * CHUNK * (grid.before + first)..];
-                    for (taps, row_of) in taps.iter().zip(rows.chunks_exact_mut(2 * CHUNK)) {
-                        row_of.fill(0.0);
-                        let (re, im) = row_of.split_at_mut(CHUNK);
-                        let samples = CHUNK.min(samples - from);
-                        let sums = [&mut re[..samples], &mut im[..samples]];
-                        add_rows(self.simd_level, &worker.grid[from..], row, taps, sums);
-                    }
-                }
+                self.sum_foci(
+                    worker,
+                    taps,
+                    (row, samples),
+                    (chunk_rows, grid.before + first),
+                );
             }
         }
         let BeamBatch { foci, seen, mix } = &mut *worker.beams;
@@ -771,33 +813,150 @@ impl DelaySumFormer {
                         groups.mix(steering, directions, seen, foci, mix);
                     },
                 );
-                let (mut first, end) = (zone.first.max(tile.first), zone.end.min(tile.end));
-                while first < end {
-                    let (chunk, origin) =
-                        ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
-                    let rows = &worker.directions[chunk * chunk_rows..];
-                    let samples = (CHUNK - origin).min(end - first);
-                    let sections = &groups.sections;
-                    let (of, at) = ((&*mix, beams), (origin, samples));
-                    sum_directions(
-                        self.simd_level,
-                        rows,
-                        of,
-                        sections,
-                        at,
-                        #[inline(always)]
-                        |i, totals| {
-                            let sums = totals
-                                .each_ref()
-                                .map(|parts| parts.each_ref().map(|part| &part[..samples]));
-                            let sums = &sums[..sections.len()];
-                            // SAFETY: the caller guarantees that the samples are this tile's alone.
-                            unsafe { finish(batch * BEAMS + i, first, sums, out) };
-                        },
-                    );
-                    first += samples;
-                }
+                let span = zone.first.max(tile.first)..zone.end.min(tile.end);
+                let rows = (&worker.directions[..], chunk_rows);
+                let sections = &groups.sections;
+                // SAFETY: the caller guarantees that the samples are this tile's alone.
+                unsafe { self.mix_zone(rows, (mix, batch, beams), sections, (tile, span), out) };
             }
+        }
+    }
+
+    /// Sums a tile of the beams of an arc group by group and writes it.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn sum_arc_groups(
+        &self,
+        steering: &Steering,
+        tile: &Tile,
+        time_s: f64,
+        worker: &mut Worker,
+        out: &Outputs,
+    ) {
+        let (Some(groups), Some(directions)) = (&self.arc_groups, &self.directions) else {
+            unreachable!("tiles without groups have no focus of groups");
+        };
+        let samples = tile.end - tile.first;
+        let row = grid_row(self.margin);
+        let layout = GridLayout {
+            row,
+            origin: self.margin,
+        };
+        let even = [1.0f32; BLOCK];
+        let mut taps = [Taps::NONE; FOCI];
+        let chunk_rows = 2 * CHUNK * directions.count;
+        for (g, part) in groups.parts.iter().enumerate() {
+            self.interpolate(tile, part.clone(), &mut worker.grid);
+            let grid = &directions.of_group[g];
+            let places = [&self.x_m[part.clone()], &self.z_m[part.clone()]];
+            for first in (0..grid.count).step_by(FOCI) {
+                let taps = &mut taps[..FOCI.min(grid.count - first)];
+                let (interpolation, to_sum) = (&self.interpolation, (places, &even[..part.len()]));
+                self.simd_level.run(
+                    #[inline(always)]
+                    || {
+                        for (j, taps) in taps.iter_mut().enumerate() {
+                            let toward = groups.toward(g, grid, first + j);
+                            let focus = &steering.focus_towards(toward, time_s);
+                            let late_m = steering.late_m_of(focus, groups.place_m[g]);
+                            steering.steer_arc(focus, to_sum, late_m, interpolation, layout, taps);
+                        }
+                    },
+                );
+                self.sum_foci(
+                    worker,
+                    taps,
+                    (row, samples),
+                    (chunk_rows, grid.before + first),
+                );
+            }
+        }
+        let section_count = self.sections.len();
+        let BeamBatch { foci, seen, mix } = &mut *worker.beams;
+        for (batch, sines) in self.steered.directions.sine.chunks(BEAMS).enumerate() {
+            let beams = sines.len();
+            let sines = &std::array::from_fn(|i| sines[i.min(beams - 1)]);
+            let sections = &groups.sections[batch][..section_count];
+            self.simd_level.run(
+                #[inline(always)]
+                || {
+                    steering.focus_all(sines, time_s, foci);
+                    groups.see(batch, directions, foci, seen);
+                },
+            );
+            for (_, zone) in self.zones_of(tile) {
+                self.simd_level.run(
+                    #[inline(always)]
+                    || {
+                        steering.focus_all(sines, zone.time_s, foci);
+                        groups.mix(steering, (batch, directions), seen, foci, mix);
+                    },
+                );
+                let span = zone.first.max(tile.first)..zone.end.min(tile.end);
+                let rows = (&worker.directions[..], chunk_rows);
+                // SAFETY: the caller guarantees that the samples are this tile's alone.
+                unsafe { self.mix_zone(rows, (mix, batch, beams), sections, (tile, span), out) };
+            }
+        }
+    }
+
+    /// Sums the rows of some elements in the directions of `taps`, which begin at direction `at`.
+    fn sum_foci(
+        &self,
+        worker: &mut Worker,
+        taps: &[Taps],
+        (row, samples): (usize, usize),
+        (chunk_rows, at): (usize, usize),
+    ) {
+        let chunks = worker.directions.chunks_mut(chunk_rows);
+        for (from, rows) in (0..samples).step_by(CHUNK).zip(chunks) {
+            let rows = &mut rows[2 * CHUNK * at..];
+            for (taps, row_of) in taps.iter().zip(rows.chunks_exact_mut(2 * CHUNK)) {
+                row_of.fill(0.0);
+                let (re, im) = row_of.split_at_mut(CHUNK);
+                let samples = CHUNK.min(samples - from);
+                let sums = [&mut re[..samples], &mut im[..samples]];
+                add_rows(self.simd_level, &worker.grid[from..], row, taps, sums);
+            }
+        }
+    }
+
+    /// Sums the directions of a batch of beams over the samples `span` of a tile and writes them.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn mix_zone(
+        &self,
+        (directions, chunk_rows): (&[f32], usize),
+        (mix, batch, beams): (&Mix, usize, usize),
+        sections: &[Range<usize>],
+        (tile, span): (&Tile, Range<usize>),
+        out: &Outputs,
+    ) {
+        let (mut first, end) = (span.start, span.end);
+        while first < end {
+            let (chunk, origin) = ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
+            let rows = &directions[chunk * chunk_rows..];
+            let samples = (CHUNK - origin).min(end - first);
+            let (of, at) = ((mix, beams), (origin, samples));
+            sum_directions(
+                self.simd_level,
+                rows,
+                of,
+                sections,
+                at,
+                #[inline(always)]
+                |i, totals| {
+                    let sums = totals
+                        .each_ref()
+                        .map(|parts| parts.each_ref().map(|part| &part[..samples]));
+                    let sums = &sums[..sections.len()];
+                    // SAFETY: the caller guarantees that the samples are this tile's alone.
+                    unsafe { finish(batch * BEAMS + i, first, sums, out) };
+                },
+            );
+            first += samples;
         }
     }
 

@@ -21,13 +21,15 @@ pub(crate) struct ArcApertures {
     half_width: f64,
     /// A line about the axis of its beam with half this length has the largest error of focus, metres.
     pub(super) half_m: f64,
+    /// Largest distance of an element in use from the axis of its beam, metres.
+    pub(super) reach_m: f64,
 }
 
 /// One beam.
 pub(super) struct ArcBeam {
     pub(super) elements: Range<usize>,
     /// The first element of its second half.
-    middle: usize,
+    pub(super) middle: usize,
     first_weight: usize,
     /// Weighted standard deviation of the elements across the beam, metres.
     deviation_m: f64,
@@ -71,6 +73,7 @@ impl ArcApertures {
             weights: Vec::new(),
             half_width: half_power_sine(&weights, &across),
             half_m: 0.0,
+            reach_m: 0.0,
         })
     }
 
@@ -78,6 +81,7 @@ impl ArcApertures {
     pub(crate) fn aim(&mut self, sines: &[f64]) {
         self.beams.clear();
         self.weights.clear();
+        self.reach_m = 0.0;
         let mut square_m2 = 0.0f64;
         let last = self.normal_rad.len() - 1;
         for sine in sines {
@@ -112,6 +116,7 @@ impl ArcApertures {
             // Elements from y - h to y + h across the axis: squares differ from y^2, which is common to all, by h (h + 2 |y|) at most.
             let [a, b] = [0, own.len() - 1].map(|e| own[e].0);
             let (middle_m, half_m) = (0.5 * (a + b), 0.5 * (b - a).abs());
+            self.reach_m = self.reach_m.max(half_m + middle_m.abs());
             square_m2 = square_m2.max(half_m * (half_m + 2.0 * middle_m.abs()));
             let before = own.iter().scan(0.0, |sum: &mut f64, (_, weight)| {
                 *sum += weight;
@@ -139,9 +144,18 @@ impl ArcApertures {
     /// -3 dB width of every beam, radians.
     pub(crate) fn widths_rad(&self, wavelength_m: f64, widths: &mut [f64]) {
         for (width, beam) in widths.iter_mut().zip(&self.beams) {
-            let half = self.half_width * wavelength_m / beam.deviation_m.max(f64::MIN_POSITIVE);
-            *width = 2.0 * half.min(1.0).asin();
+            *width = self.width_rad(beam, wavelength_m);
         }
+    }
+
+    pub(super) fn width_rad(&self, beam: &ArcBeam, wavelength_m: f64) -> f64 {
+        let half = self.half_width * wavelength_m / beam.deviation_m.max(f64::MIN_POSITIVE);
+        2.0 * half.min(1.0).asin()
+    }
+
+    /// Angle between the normals of the outermost elements of a whole aperture.
+    pub(super) fn aperture_rad(&self) -> f64 {
+        self.aperture_rad
     }
 
     /// Elements of all beams together.

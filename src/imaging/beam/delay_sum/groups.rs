@@ -18,22 +18,23 @@ use super::steering::{Foci, Steering, turn, whole_number};
 use crate::beam::kernel::BLOCK;
 use echotank_core::pulse::{Pulse, PulseKind};
 
-/// Maximum number of groups.
-pub(super) const MAX_GROUPS: usize = 16;
+/// Maximum number of groups; of a line, [`GROUPS_OF_LINE`].
+pub(super) const MAX_GROUPS: usize = 32;
+const GROUPS_OF_LINE: usize = 16;
 /// Directions of each group that a beam sums.
 pub(super) const TAPS: usize = 6;
 /// Beams whose coefficients are computed together.
 pub(super) const BEAMS: usize = 16;
 /// Directions for each half cycle of the fastest variation of a group.
-const OVERSAMPLING: f64 = 1.8;
+pub(super) const OVERSAMPLING: f64 = 1.8;
 /// Number of coefficients of the polynomials of the interpolation kernel: even.
-const TERMS: usize = 6;
+pub(super) const TERMS: usize = 6;
 /// Directions beyond those of the outermost beams, for the change of direction within a tile.
-const REACH: usize = 1;
+pub(super) const REACH: usize = 1;
 /// Phase error at the ends of a group by the change of its curvature within a tile.
-const MAX_CURVATURE_RAD: f64 = 0.05;
+pub(super) const MAX_CURVATURE_RAD: f64 = 0.05;
 /// Phase error of the outermost group at the rms frequency of the envelope within a tile.
-const MAX_ENVELOPE_RAD: f64 = 0.08;
+pub(super) const MAX_ENVELOPE_RAD: f64 = 0.08;
 /// The dense sum has fewer steps for each product.
 const ADVANTAGE: f64 = 1.3;
 
@@ -66,8 +67,8 @@ pub(super) struct Directions {
 /// Directions of one group, in equal steps of the sine.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Grid {
-    first: f64,
-    step: f64,
+    pub(super) first: f64,
+    pub(super) step: f64,
     pub(super) count: usize,
     /// Directions of the groups before.
     pub(super) before: usize,
@@ -82,10 +83,10 @@ impl Grid {
 /// [`BEAMS`] beams of the fan at the range of a tile, as each group sees them.
 pub(super) struct Seen {
     /// Index of the direction, counted from the group's first.
-    at: [[f32; BEAMS]; MAX_GROUPS],
-    slope: [[f32; BEAMS]; MAX_GROUPS],
+    pub(super) at: [[f32; BEAMS]; MAX_GROUPS],
+    pub(super) slope: [[f32; BEAMS]; MAX_GROUPS],
     /// Change of the index for each change of the slope.
-    per_slope: [[f32; BEAMS]; MAX_GROUPS],
+    pub(super) per_slope: [[f32; BEAMS]; MAX_GROUPS],
 }
 
 impl Seen {
@@ -128,7 +129,7 @@ impl Groups {
         let mut best: Option<(f64, Self)> = None;
         for size in [8, 16, BLOCK] {
             let groups = Self::of_size(size, sections, spacing_m)?;
-            if groups.parts.len() > MAX_GROUPS {
+            if groups.parts.len() > GROUPS_OF_LINE {
                 continue;
             }
             let products = groups.products((sector, beams), (pulse, c), rows);
@@ -287,25 +288,35 @@ impl Groups {
             for (i, late_m) in late_m.iter().enumerate() {
                 (mix.sin[g][i], mix.cos[g][i]) = turn(late_m * cycles_per_m);
             }
-            for (t, terms) in self.kernel.iter().enumerate() {
-                for (i, at) in at.iter().enumerate() {
-                    let square = at * at;
-                    let (mut even, mut odd) = (0.0, 0.0);
-                    for pair in terms.chunks_exact(2).rev() {
-                        even = even * square + pair[0];
-                        odd = odd * square + pair[1];
-                    }
-                    odd *= at;
-                    mix.w[g][t][i] = even + odd;
-                    mix.w[g][TAPS - 1 - t][i] = even - odd;
-                }
+            taps_at(&self.kernel, &at, &mut mix.w[g]);
+        }
+    }
+}
+
+/// Coefficients of all taps at positions between the two middle directions.
+#[inline(always)]
+pub(super) fn taps_at(
+    kernel: &[[f32; TERMS]; TAPS / 2],
+    at: &[f32; BEAMS],
+    w: &mut [[f32; BEAMS]; TAPS],
+) {
+    for (t, terms) in kernel.iter().enumerate() {
+        for (i, at) in at.iter().enumerate() {
+            let square = at * at;
+            let (mut even, mut odd) = (0.0, 0.0);
+            for pair in terms.chunks_exact(2).rev() {
+                even = even * square + pair[0];
+                odd = odd * square + pair[1];
             }
+            odd *= at;
+            w[t][i] = even + odd;
+            w[TAPS - 1 - t][i] = even - odd;
         }
     }
 }
 
 /// Coefficients that interpolate functions of the band with least squares, as polynomials through Chebyshev nodes.
-fn kernel() -> [[f32; TERMS]; TAPS / 2] {
+pub(super) fn kernel() -> [[f32; TERMS]; TAPS / 2] {
     let node = |n: usize| 0.5 * (std::f64::consts::PI * (n as f64 + 0.5) / TERMS as f64).cos();
     let mut at_node = [[0.0; TERMS]; TAPS / 2];
     for n in 0..TERMS {

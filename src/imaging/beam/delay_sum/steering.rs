@@ -30,6 +30,8 @@ pub(super) struct Steering {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Focus {
     pub(super) sine: f32,
+    /// From the boresight, for places beside the line.
+    pub(super) cosine: f32,
     /// R = |S|.
     pub(super) radius_m: f32,
     pub(super) d_m: [f32; 2],
@@ -57,12 +59,26 @@ impl Focus {
 
     /// The same for an element with places along the line and along the boresight.
     #[inline(always)]
-    fn late_m_of(&self, [vx, vz]: [f32; 2], [x, z]: [f32; 2]) -> f32 {
+    pub(super) fn late_m_of(&self, [vx, vz]: [f32; 2], [x, z]: [f32; 2]) -> f32 {
         let [dx, dz] = self.d_m;
         let difference_m2 = x * (x - 2.0 * dx) + z * (z - 2.0 * dz);
         let q2 = self.range_m * self.range_m + difference_m2;
         let q = q2.max(1e-12).sqrt();
         difference_m2 / (q + self.range_m) / (1.0 + ((dx - x) * vx + (dz - z) * vz) / q)
+    }
+
+    /// Distance to such a place, the slope of the delay along a tangent there (a sine), and the way from the focus to the place.
+    #[inline(always)]
+    pub(super) fn leg_of(&self, [x, z]: [f32; 2], tangent: [f32; 2]) -> (f32, f32, [f32; 2]) {
+        let w = [x - self.d_m[0], z - self.d_m[1]];
+        let q = (w[0] * w[0] + w[1] * w[1]).max(1e-12).sqrt();
+        (q, (tangent[0] * w[0] + tangent[1] * w[1]) / q, w)
+    }
+
+    /// Delay of such a place for a point far away, times the sound speed.
+    #[inline(always)]
+    pub(super) fn far_late_m_of(&self, [x, z]: [f32; 2]) -> f32 {
+        -(x * self.sine + z * self.cosine)
     }
 
     /// The same of a point far away.
@@ -75,6 +91,7 @@ impl Focus {
 /// Several foci, structure of arrays.
 pub(super) struct Foci {
     sine: [f32; BEAMS],
+    cosine: [f32; BEAMS],
     radius_m: [f32; BEAMS],
     d_m: [[f32; BEAMS]; 2],
     range_m: [f32; BEAMS],
@@ -83,6 +100,7 @@ pub(super) struct Foci {
 impl Foci {
     pub(super) const NONE: Self = Self {
         sine: [0.0; BEAMS],
+        cosine: [0.0; BEAMS],
         radius_m: [0.0; BEAMS],
         d_m: [[0.0; BEAMS]; 2],
         range_m: [0.0; BEAMS],
@@ -92,6 +110,7 @@ impl Foci {
     pub(super) fn at(&self, i: usize) -> Focus {
         Focus {
             sine: self.sine[i],
+            cosine: self.cosine[i],
             radius_m: self.radius_m[i],
             d_m: [self.d_m[0][i], self.d_m[1][i]],
             range_m: self.range_m[i],
@@ -106,6 +125,7 @@ impl Steering {
         for (i, sine) in sines.iter().enumerate() {
             let focus = self.focus(*sine, time_s);
             foci.sine[i] = focus.sine;
+            foci.cosine[i] = focus.cosine;
             foci.radius_m[i] = focus.radius_m;
             foci.d_m[0][i] = focus.d_m[0];
             foci.d_m[1][i] = focus.d_m[1];
@@ -121,13 +141,20 @@ impl Steering {
     /// The point in focus of a beam at `time_s`. Beyond a sine of 1 it is the analytic continuation, for interpolation up to there.
     #[inline(always)]
     pub(super) fn focus(&self, sine: f64, time_s: f64) -> Focus {
+        self.focus_towards([sine, (1.0 - sine * sine).max(0.0).sqrt()], time_s)
+    }
+
+    /// The same of a direction by its components along the line and along the boresight.
+    #[inline(always)]
+    pub(super) fn focus_towards(&self, toward: [f64; 2], time_s: f64) -> Focus {
+        let [sine, cosine] = toward.map(|component| component as f32);
         if !self.is_focused() {
             return Focus {
-                sine: sine as f32,
+                sine,
+                cosine,
                 ..Focus::default()
             };
         }
-        let toward = [sine, (1.0 - sine * sine).max(0.0).sqrt()];
         let path_m = self.c * time_s;
         // S = R (sine, cosine) lies on the ellipse |S - p| + |S - q| = c t about the transmitter p and q = v t. With the difference of the squares
         // of its two legs, |S - p| = a + b R, which is squared once more.
@@ -146,7 +173,8 @@ impl Steering {
         let d = [radius_m * toward[0] - q[0], radius_m * toward[1] - q[1]];
         let range2 = radius_m * (radius_m - 2.0 * along(q)) + square(q);
         Focus {
-            sine: sine as f32,
+            sine,
+            cosine,
             radius_m: radius_m as f32,
             d_m: d.map(|x| x as f32),
             range_m: range2.max(MIN_DISTANCE_M * MIN_DISTANCE_M).sqrt() as f32,
@@ -169,6 +197,15 @@ impl Steering {
         match self.is_focused() {
             true => f.late_m(self.mach(), x).0,
             false => f.far_late_m(x),
+        }
+    }
+
+    /// The same of a place along the line and along the boresight.
+    #[inline(always)]
+    pub(super) fn late_m_of(&self, f: &Focus, place_m: [f32; 2]) -> f32 {
+        match self.is_focused() {
+            true => f.late_m_of(self.mach(), place_m),
+            false => f.far_late_m_of(place_m),
         }
     }
 
@@ -201,6 +238,7 @@ impl Steering {
         &self,
         f: &Focus,
         ([x_m, z_m], w): ([&[f32]; 2], &[f32]),
+        reference_m: f32,
         interpolation: &Interpolation,
         layout: GridLayout,
         taps: &mut Taps,
@@ -208,13 +246,12 @@ impl Steering {
         let mach = self.mach();
         let n = x_m.len().min(z_m.len()).min(w.len()).min(BLOCK);
         let mut late_m = [0.0f32; BLOCK];
-        let cosine = (1.0 - f.sine * f.sine).max(0.0).sqrt();
         let elements = late_m[..n].iter_mut().zip(x_m).zip(z_m);
         match self.is_focused() {
             true => elements.for_each(|((late_m, x), z)| *late_m = f.late_m_of(mach, [*x, *z])),
-            false => elements.for_each(|((late_m, x), z)| *late_m = -(x * f.sine + z * cosine)),
+            false => elements.for_each(|((late_m, x), z)| *late_m = f.far_late_m_of([*x, *z])),
         }
-        self.taps((&late_m[..n], w), 0.0, interpolation, layout, taps);
+        self.taps((&late_m[..n], w), reference_m, interpolation, layout, taps);
     }
 
     /// Rows and weights of elements with these delays.

@@ -727,6 +727,101 @@ fn beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range() {
     }
 }
 
+/// The arc of a multibeam sonar with a sweep of 80 kHz, as [`beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range`]: by groups, whose
+/// shading has steps, and element by element.
+#[test]
+fn beams_of_an_arc_are_within_1_percent_of_the_exact_focus_at_every_range() {
+    let lfm = pulse(PulseKind::LfmUp, 80e3, 0.5e-3, 0.5);
+    let rate_hz = 115e3;
+    let mut all_errors = Vec::new();
+    for (first_m, samples) in [(0.0, 600), (8.0, 300), (40.0, 300)] {
+        let mut rig = Rig::new(256, 0.00172, samples);
+        rig.array.radius_m = Some(0.21);
+        rig.pulse = lfm;
+        rig.velocity_m_per_s = DVec3::new(0.5, 0.0, 0.3);
+        let rev = Reverberation::new(rig, rate_hz);
+        let shading = Shading::Taylor { side_lobe_db: 30.0 };
+        let sector_rad = 130f64.to_radians();
+        let mut spec = fan(512, sector_rad, shading, Former::DynamicFocus);
+        spec.form.focus_error_rad = f64::to_radians(1.0);
+        let mut plan = rev.rig.plan(rev.rig.velocity_m_per_s);
+        plan.first_sample_s = 2.0 * first_m / C;
+        for by_groups in [true, false] {
+            let mut former = rev.former(&spec);
+            let mut groups = former.arc_groups.take().expect("fewer products");
+            let parts = groups.parts.clone();
+            if by_groups {
+                groups.aim(former.steered.arc.as_ref().expect("an arc"), true);
+                former.arc_groups = Some(groups);
+            }
+            let mut whole = BeamFrame::default();
+            let start = std::time::Instant::now();
+            former.form(&plan, &rev.frame, &mut whole);
+            let took = start.elapsed();
+            let arc = former.steered.arc.as_ref().expect("an arc");
+            let (mut off, mut off_smooth, mut all) = (0.0, 0.0, 0.0);
+            for n in 0..120usize {
+                let beam = (n * 197) % 512;
+                let near = if first_m == 0.0 {
+                    0.5 * 2.0 / C * rate_hz
+                } else {
+                    60.0
+                } as usize
+                    + 20;
+                let sample = near + (n * 61) % (samples - near - 60);
+                let own = &arc.beams[beam];
+                let mut weights = vec![0.0; 256];
+                for (w, own) in weights[own.elements.clone()]
+                    .iter_mut()
+                    .zip(arc.weights(own, own.elements.clone()))
+                {
+                    *w = f64::from(*own);
+                }
+                let smooth = weights.clone();
+                for part in parts.iter().filter(|_| by_groups) {
+                    let mean = weights[part.clone()].iter().sum::<f64>() / part.len() as f64;
+                    weights[part.clone()].fill(mean);
+                }
+                let sine = (sector_rad * (beam as f64 / 511.0 - 0.5)).sin();
+                let got = whole.iq[beam * samples + sample];
+                let got = Complex64::new(got.re.into(), got.im.into());
+                let want = rev.exact(&weights, sine, sample, plan.first_sample_s);
+                let smooth = rev.exact(&smooth, sine, sample, plan.first_sample_s);
+                off += (got - want).norm_sqr();
+                off_smooth += (got - smooth).norm_sqr();
+                all += want.norm_sqr();
+            }
+            let [error, of_smooth] = [off, off_smooth].map(|off: f64| (off / all).sqrt());
+            println!(
+                "from {first_m} m, groups {by_groups}: {error:.1e}, of the smooth shading {of_smooth:.1e}; {took:?}, {} tiles, {} zones, {:?}",
+                former.tiles.len(),
+                former.zones.len(),
+                former.directions.map(|directions| directions.count),
+            );
+            all_errors.push((first_m, by_groups, error));
+        }
+    }
+    for (first_m, by_groups, error) in all_errors {
+        assert!(
+            error < 1e-2,
+            "from {first_m} m, groups {by_groups}: {error:.1e}"
+        );
+    }
+}
+
+#[test]
+fn groups_of_an_arc_serve_apertures_of_many_elements() {
+    for (elements, serve) in [(256, true), (160, true), (40, false)] {
+        let mut rig = Rig::new(elements, 0.00172, 200);
+        rig.array.radius_m = Some(0.21 * elements as f64 / 256.0);
+        let shading = Shading::Taylor { side_lobe_db: 30.0 };
+        let spec = fan(512, 130f64.to_radians(), shading, Former::DynamicFocus);
+        let former = rig.former(&spec);
+        assert_eq!(former.arc_groups.is_some(), serve, "{elements}");
+        assert!(former.groups.is_none());
+    }
+}
+
 /// 200 elements on 115 degrees of an arc of 0.185 m.
 fn arc(samples: usize) -> Rig {
     let mut rig = Rig::new(200, 0.5 * C / CARRIER_HZ, samples);

@@ -1,0 +1,317 @@
+//! Beams of an arc from groups of neighbouring elements, in two sums as in [`groups`](super::groups).
+//!
+//! A group about p, whose normal has the angle phi, serves the beams that use its elements. Its directions lie in equal steps of
+//! v = sin(theta - phi). In the second sum it has the mean weight of its elements, so that the shading of a beam has steps of a group.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+use std::ops::Range;
+
+use super::arc::ArcApertures;
+use super::groups::{
+    BEAMS, Directions, Grid, MAX_CURVATURE_RAD, MAX_ENVELOPE_RAD, MAX_GROUPS, Mix, OVERSAMPLING,
+    REACH, Seen, TAPS, TERMS, kernel, taps_at,
+};
+use super::interpolation::band_hz;
+use super::steering::{Foci, Steering, turn, whole_number};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::pulse::{Pulse, PulseKind};
+
+/// Groups of an aperture, at least: with fewer the steps of the shading would raise side lobes.
+const GROUPS_OF_APERTURE: f64 = 16.0;
+/// Side lobes begin this many widths beside the axis, and are looked at in so many directions.
+const MAIN_LOBE: f64 = 1.5;
+const LOBE_ANGLES: usize = 1500;
+/// The dense sum has fewer steps for each product.
+const ADVANTAGE: f64 = 1.3;
+
+/// Division of an arc into groups.
+pub(super) struct ArcGroups {
+    /// Elements of each group.
+    pub(super) parts: Vec<Range<usize>>,
+    /// Centres, along the array's axis and along the boresight, metres.
+    pub(super) place_m: [[f32; 2]; MAX_GROUPS],
+    normal_rad: [f64; MAX_GROUPS],
+    /// Half the length of the longest group.
+    half_m: f64,
+    /// Half the angle between the normals of the outermost elements that a beam uses, with a group.
+    half_aperture_rad: f64,
+    /// Largest distance of an element in use from the axis of its beam, metres.
+    reach_m: f64,
+    /// Room for directions.
+    pub(super) capacity: usize,
+    kernel: [[f32; TERMS]; TAPS / 2],
+    /// Of each group in every beam.
+    weights: Vec<[f32; MAX_GROUPS]>,
+    /// Groups of each section of [`BEAMS`] beams.
+    pub(super) sections: Vec<[Range<usize>; 2]>,
+}
+
+impl ArcGroups {
+    /// None if there are too few elements in an aperture, or if the dense sum has fewer products. `rows` is the number of rows for each delay.
+    pub(super) fn new(
+        array: &ArrayGeometry,
+        (arc, has_halves): (&ArcApertures, bool),
+        sector: [f64; 2],
+        (pulse, rate_hz, c): (&Pulse, f64, f64),
+        rows: usize,
+    ) -> Option<Self> {
+        let radius_m = array.radius_m?;
+        let size = array.elements.div_ceil(MAX_GROUPS).max(4);
+        let count = array.elements.div_ceil(size);
+        let at = |g: usize| g * array.elements / count;
+        let parts: Vec<Range<usize>> = (0..count).map(|g| at(g)..at(g + 1)).collect();
+        let longest = parts.iter().map(Range::len).max()?;
+        if arc.aperture_rad() * radius_m < GROUPS_OF_APERTURE * longest as f64 * array.spacing_m {
+            return None;
+        }
+        let (mut place_m, mut normal_rad) = ([[0.0; 2]; MAX_GROUPS], [0.0; MAX_GROUPS]);
+        for (g, part) in parts.iter().enumerate() {
+            let middle = 0.5 * (part.start + part.end - 1) as f64;
+            let along_m = array.spacing_m * (middle - 0.5 * (array.elements - 1) as f64);
+            let mounting = array.mounting_at(along_m);
+            let inverse = array.mounting.body_from_array.inverse();
+            let at_m = inverse * (mounting.position_m - array.mounting.position_m);
+            place_m[g] = [at_m.x as f32, at_m.z as f32];
+            normal_rad[g] = along_m / radius_m;
+        }
+        let half_m = 0.5 * array.spacing_m * (longest - 1).max(1) as f64;
+        let mut groups = Self {
+            parts,
+            place_m,
+            normal_rad,
+            half_m,
+            half_aperture_rad: 0.5 * arc.aperture_rad() + half_m / radius_m,
+            reach_m: 0.0,
+            capacity: 0,
+            kernel: kernel(),
+            weights: Vec::with_capacity(arc.beams.len()),
+            sections: Vec::with_capacity(arc.beams.len().div_ceil(BEAMS)),
+        };
+        groups.aim(arc, has_halves);
+        groups.capacity = groups.directions(sector, pulse, rate_hz, c).count;
+        let directions = groups.directions(sector, pulse, band_hz(pulse), c);
+        let products = groups.products(&directions, rows);
+        let is_faster = ADVANTAGE * products < (arc.terms() * rows) as f64;
+        let wavelength_m = c / pulse.center_frequency_hz;
+        (is_faster && groups.steps_are_low(array, arc, wavelength_m)).then_some(groups)
+    }
+
+    /// Whether the steps of the shading raise no lobe above the side lobes of the shading itself, in the far field of the beam with the most elements.
+    fn steps_are_low(&self, array: &ArrayGeometry, arc: &ArcApertures, wavelength_m: f64) -> bool {
+        let most = (0..arc.beams.len()).max_by_key(|b| arc.beams[*b].elements.len());
+        let (Some(most), Some(radius_m)) = (most, array.radius_m) else {
+            return false;
+        };
+        let beam = &arc.beams[most];
+        let of_group = self.parts.iter().zip(&self.weights[most]);
+        let steps: Vec<f32> = of_group
+            .flat_map(|(part, weight)| part.clone().map(move |_| *weight))
+            .collect();
+        let middle = 0.5 * (beam.elements.start + beam.elements.end - 1) as f64;
+        let elements = beam.elements.clone().map(|e| {
+            let normal_rad = (e as f64 - middle) * array.spacing_m / radius_m;
+            let weight = arc.weights(beam, e..e + 1)[0];
+            (normal_rad, f64::from(weight), f64::from(steps[e] - weight))
+        });
+        let elements: Vec<(f64, f64, f64)> = elements.collect();
+        let from_rad = MAIN_LOBE * arc.width_rad(beam, wavelength_m);
+        let per_rad_m = TAU * radius_m / wavelength_m;
+        let (mut of_shading, mut of_steps) = (0.0f64, 0.0f64);
+        for k in 0..LOBE_ANGLES {
+            let off_rad = from_rad + (FRAC_PI_2 - from_rad) * k as f64 / LOBE_ANGLES as f64;
+            let (mut shading, mut steps) = ([0.0; 2], [0.0; 2]);
+            for (normal_rad, weight, step) in &elements {
+                let late = (normal_rad - off_rad).cos() - normal_rad.cos();
+                let (sin, cos) = (per_rad_m * late).sin_cos();
+                shading = [shading[0] + weight * cos, shading[1] + weight * sin];
+                steps = [steps[0] + step * cos, steps[1] + step * sin];
+            }
+            of_shading = of_shading.max(shading[0].hypot(shading[1]));
+            of_steps = of_steps.max(steps[0].hypot(steps[1]));
+        }
+        of_steps <= of_shading
+    }
+
+    /// Products for each sample of all beams.
+    pub(super) fn products(&self, directions: &Directions, rows: usize) -> f64 {
+        let longest = self.parts.iter().map(Range::len).max().unwrap_or(0);
+        let mixed = self
+            .sections
+            .iter()
+            .flatten()
+            .map(Range::len)
+            .sum::<usize>()
+            * BEAMS;
+        (directions.count * longest * rows + mixed * (TAPS / 2 + 1)) as f64
+    }
+
+    /// Takes the elements and the weights of the beams.
+    pub(super) fn aim(&mut self, arc: &ArcApertures, has_halves: bool) {
+        self.reach_m = arc.reach_m;
+        self.weights.clear();
+        for beam in &arc.beams {
+            let mut weights = [0.0f32; MAX_GROUPS];
+            for (weight, part) in weights.iter_mut().zip(&self.parts) {
+                let used = part.start.max(beam.elements.start)..part.end.min(beam.elements.end);
+                if !used.is_empty() {
+                    let sum: f32 = arc.weights(beam, used).iter().sum();
+                    *weight = sum / part.len() as f32;
+                }
+            }
+            self.weights.push(weights);
+        }
+        self.sections.clear();
+        for beams in arc.beams.chunks(BEAMS) {
+            let of = |element: usize| self.parts.partition_point(|part| part.end <= element);
+            let first = beams.iter().map(|beam| of(beam.elements.start)).min();
+            let last = beams.iter().map(|beam| of(beam.elements.end - 1)).max();
+            let (first, end) = (first.unwrap_or(0), last.map_or(0, |last| last + 1));
+            // The boundary nearest to the middle of these beams.
+            let middle = beams.iter().map(|beam| beam.middle).sum::<usize>() / beams.len().max(1);
+            let group = of(middle.min(self.parts.last().map_or(0, |part| part.end - 1)));
+            let part = &self.parts[group];
+            let split = group + usize::from(2 * middle > part.start + part.end);
+            let split = if has_halves {
+                split.clamp(first, end)
+            } else {
+                end
+            };
+            self.sections.push([first..split, split..end]);
+        }
+    }
+
+    /// Directions that serve the beams with sines in `sector`.
+    pub(super) fn directions(
+        &self,
+        sector: [f64; 2],
+        pulse: &Pulse,
+        band_hz: f64,
+        c: f64,
+    ) -> Directions {
+        let edge_hz = match pulse.kind {
+            PulseKind::Cw => band_hz,
+            _ => 0.5 * band_hz,
+        };
+        let mut directions = Directions {
+            of_group: [Grid::default(); MAX_GROUPS],
+            count: 0,
+        };
+        let margin = TAPS / 2 + REACH;
+        let [from_rad, to_rad] = sector.map(|sine| sine.clamp(-1.0, 1.0).asin());
+        let groups = self.place_m.iter().zip(self.normal_rad);
+        let grids = directions.of_group[..self.parts.len()].iter_mut();
+        for (grid, ([x_m, z_m], normal_rad)) in grids.zip(groups) {
+            let half_rad = self.half_aperture_rad;
+            let from = (from_rad - normal_rad).clamp(-half_rad, half_rad);
+            let to = (to_rad - normal_rad).clamp(-half_rad, half_rad);
+            // The delay of the centre changes by its distance from the array's for each radian, and v by the cosine.
+            let end_m = f64::from(x_m.hypot(*z_m)) / half_rad.min(1.2).cos() + self.half_m;
+            let cycles = (pulse.center_frequency_hz * self.half_m + edge_hz * end_m) / c;
+            let step = 0.5 / (OVERSAMPLING * cycles);
+            let (first, last) = (from.sin(), to.sin());
+            *grid = Grid {
+                first: first - margin as f64 * step,
+                step,
+                count: ((last - first) / step).ceil() as usize + 2 * margin,
+                before: directions.count,
+            };
+            directions.count += grid.count;
+        }
+        directions
+    }
+
+    /// Unit vector of direction `j` of group `g`, along the array's axis and along the boresight.
+    pub(super) fn toward(&self, g: usize, grid: &Grid, j: usize) -> [f64; 2] {
+        let angle_rad = self.normal_rad[g] + grid.sine(j).clamp(-1.0, 1.0).asin();
+        [angle_rad.sin(), angle_rad.cos()]
+    }
+
+    /// Largest change of 1/r from the range of a tile to its ends.
+    pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
+        let wavelength_m = c / pulse.center_frequency_hz;
+        let curvature = std::f64::consts::PI * self.half_m * self.half_m / wavelength_m;
+        let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);
+        let envelope = 0.5 * self.reach_m * self.reach_m / c * rms_rad_per_s;
+        // The outer beams of a line have this error in its outermost group only, those of an arc in most: squares of even places have an rms of 1/sqrt(5).
+        (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / (5f64.sqrt() * envelope))
+    }
+
+    /// Beams focused on the range of the tile, in batch `batch`.
+    #[inline(always)]
+    pub(super) fn see(&self, batch: usize, directions: &Directions, foci: &Foci, seen: &mut Seen) {
+        for g in self.groups(batch) {
+            let grid = &directions.of_group[g];
+            let (first, per_step) = (grid.first as f32, (1.0 / grid.step) as f32);
+            let [x, z] = self.place_m[g];
+            let (sin, cos) = self.normal_rad[g].sin_cos();
+            let (sin, cos) = (sin as f32, cos as f32);
+            for i in 0..BEAMS {
+                let focus = foci.at(i);
+                // Cosine of the angle between the normal and the direction: also the tangent times the direction's own.
+                let facing = focus.cosine * cos + focus.sine * sin;
+                let v = focus.sine * cos - focus.cosine * sin;
+                let (q, slope, w) = focus.leg_of([x, z], [cos, -sin]);
+                let beside = w[0] * focus.cosine - w[1] * focus.sine;
+                seen.at[g][i] = (v - first) * per_step;
+                seen.slope[g][i] = slope;
+                // d slope / d theta = -(R/q) (t.e - slope w.e/q), with t along the group and e across the direction.
+                let over = focus.radius_m * (facing * q - slope * beside);
+                seen.per_slope[g][i] = per_step * facing * q * q / over.max(1e-6);
+            }
+        }
+    }
+
+    /// Coefficients of beams focused on a zone.
+    #[inline(always)]
+    pub(super) fn mix(
+        &self,
+        steering: &Steering,
+        (batch, directions): (usize, &Directions),
+        seen: &Seen,
+        foci: &Foci,
+        mix: &mut Mix,
+    ) {
+        let (cycles_per_m, mach) = (steering.cycles_per_m(), steering.mach());
+        let beams = &self.weights[batch * BEAMS..];
+        for g in self.groups(batch) {
+            let grid = &directions.of_group[g];
+            let last = (grid.count - TAPS) as i32;
+            let (place, before) = (self.place_m[g], grid.before as i32);
+            let (sin, cos) = self.normal_rad[g].sin_cos();
+            let tangent = [cos as f32, -sin as f32];
+            let mut at = seen.at[g];
+            let mut late_m = [0.0f32; BEAMS];
+            match steering.is_focused() {
+                true => {
+                    for i in 0..BEAMS {
+                        let focus = foci.at(i);
+                        late_m[i] = focus.late_m_of(mach, place);
+                        let (_, slope, _) = focus.leg_of(place, tangent);
+                        at[i] += (seen.slope[g][i] - slope) * seen.per_slope[g][i];
+                    }
+                }
+                false => {
+                    for (i, late_m) in late_m.iter_mut().enumerate() {
+                        *late_m = foci.at(i).far_late_m_of(place);
+                    }
+                }
+            }
+            for (at, to) in at.iter_mut().zip(&mut mix.first[g]) {
+                let first = (whole_number(*at - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
+                *at = *at - first as f32 - (TAPS / 2) as f32 + 0.5;
+                *to = (before + first) as u32;
+            }
+            for (i, late_m) in late_m.iter().enumerate() {
+                let weight = beams.get(i).map_or(0.0, |weights| weights[g]);
+                let (sin, cos) = turn(late_m * cycles_per_m);
+                (mix.sin[g][i], mix.cos[g][i]) = (weight * sin, weight * cos);
+            }
+            taps_at(&self.kernel, &at, &mut mix.w[g]);
+        }
+    }
+
+    fn groups(&self, batch: usize) -> Range<usize> {
+        let [a, b] = &self.sections[batch];
+        a.start..b.end
+    }
+}
