@@ -32,6 +32,8 @@ def beams_of(ping: echotank.Ping) -> np.ndarray:
     """Beams of the fan: (beams, samples)."""
     fan = ping.plan["fan"]
     array = ping.plan["receive"][fan["array"]]
+    if "radius_m" in array:
+        raise SystemExit(f"{array['name']} is an arc: this example forms beams of a straight line")
     x = ping.elements[array["name"]].astype(np.complex128)
     a = replica(ping.plan["plan"]["pulse"], ping.sample_rate_hz)
     count, samples = x.shape
