@@ -93,8 +93,7 @@ pub(super) fn widths_rad(
     widths: &mut [f64],
 ) {
     let middle = (weights.len() as f64 - 1.0) / 2.0;
-    let places = (0..weights.len()).map(|e| (e as f64 - middle) * spacing_wavelengths);
-    let half = half_power_sine(weights, &places.collect::<Vec<f64>>());
+    let half = half_power_sine(weights, |e| (e as f64 - middle) * spacing_wavelengths);
     for (width, sine) in widths.iter_mut().zip(sines) {
         let edge = |s: f64| match s.abs() < 1.0 {
             true => s.asin(),
@@ -105,18 +104,16 @@ pub(super) fn widths_rad(
 }
 
 /// Offset in sine at which the response of elements at these places, in wavelengths, falls to half its power; infinite if it never does (one element).
-pub(super) fn half_power_sine(weights: &[f64], places_wavelengths: &[f64]) -> f64 {
+pub(super) fn half_power_sine(weights: &[f64], place_wavelengths: impl Fn(usize) -> f64) -> f64 {
     // The weights are symmetrical, so that the response is real.
     let response = |sine: f64| -> f64 {
-        let elements = weights.iter().zip(places_wavelengths);
+        let elements = weights.iter().enumerate();
         elements
-            .map(|(w, place)| w * (TAU * place * sine).cos())
+            .map(|(e, w)| w * (TAU * place_wavelengths(e) * sine).cos())
             .sum()
     };
     let threshold = 0.5_f64.sqrt();
-    let reach = places_wavelengths
-        .iter()
-        .fold(0.0, |most: f64, p| most.max(p.abs()));
+    let reach = place_wavelengths(weights.len() - 1).abs();
     if reach == 0.0 {
         return f64::INFINITY;
     }

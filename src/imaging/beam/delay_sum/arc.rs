@@ -17,6 +17,8 @@ pub(crate) struct ArcApertures {
     pub(super) beams: Vec<ArcBeam>,
     /// Of the elements of all beams.
     weights: Vec<f32>,
+    /// Places across the axis of a beam and weights of its elements.
+    own: Vec<(f64, f64)>,
     /// Half the -3 dB width of a whole aperture as a sine, times the standard deviation of its elements across the beam in wavelengths.
     half_width: f64,
     /// A line about the axis of its beam with half this length has the largest error of focus, metres.
@@ -62,8 +64,6 @@ impl ArcApertures {
         let deviation_m = deviation_m(&whole);
         let sum: f64 = whole.iter().map(|(_, weight)| weight).sum();
         let weights: Vec<f64> = whole.iter().map(|(_, weight)| weight / sum).collect();
-        let of_deviation = |&(across_m, _): &(f64, f64)| across_m / deviation_m;
-        let across: Vec<f64> = whole.iter().map(of_deviation).collect();
         Some(Self {
             radius_m,
             aperture_rad,
@@ -71,7 +71,8 @@ impl ArcApertures {
             taper,
             beams: Vec::with_capacity(fan.beams),
             weights: Vec::new(),
-            half_width: half_power_sine(&weights, &across),
+            own: Vec::with_capacity(array.elements),
+            half_width: half_power_sine(&weights, |e| whole[e].0 / deviation_m),
             half_m: 0.0,
             reach_m: 0.0,
         })
@@ -105,13 +106,12 @@ impl ArcApertures {
                 let (sin, cos) = rad.sin_cos();
                 self.radius_m * (sin * cosine - (cos - 1.0) * sine)
             };
-            let own: Vec<(f64, f64)> = normals
-                .iter()
-                .map(|rad| {
-                    let weight = self.taper.at((rad - angle_rad) / self.aperture_rad);
-                    (across_m(rad), weight)
-                })
-                .collect();
+            let own = &mut self.own;
+            own.clear();
+            own.extend(normals.iter().map(|rad| {
+                let weight = self.taper.at((rad - angle_rad) / self.aperture_rad);
+                (across_m(rad), weight)
+            }));
             let sum: f64 = own.iter().map(|(_, weight)| weight).sum();
             // Elements from y - h to y + h across the axis: squares differ from y^2, which is common to all, by h (h + 2 |y|) at most.
             let [a, b] = [0, own.len() - 1].map(|e| own[e].0);
@@ -127,7 +127,7 @@ impl ArcApertures {
                 middle: elements.start + middle.min(elements.len()),
                 first_weight: self.weights.len(),
                 elements,
-                deviation_m: deviation_m(&own),
+                deviation_m: deviation_m(own),
             });
             self.weights
                 .extend(own.iter().map(|(_, weight)| (weight / sum) as f32));
