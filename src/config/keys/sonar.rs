@@ -376,7 +376,7 @@ table! {
     /// An arc needs one of the last three.
     former: Choice("exact", "fft", "conventional", "phase", "dynamic-focus"), Default("\"exact\"");
 
-    /// Of an arc: each beam uses the elements whose normals lie within half of this of its direction, and shading is along them.
+    /// Each beam uses the elements whose normals lie within half of this of its direction; shading is along them. Only with an arc (radius_m).
     aperture_deg: Degrees(from(1.0, 180.0)), Default("80.0");
 
     /// A sounding for each beam, from amplitude or from the phase between the two halves of the line.
