@@ -132,8 +132,8 @@ impl ArrayGeometry {
         self.radius_m.map_or(0.0, |radius_m| along_m / radius_m)
     }
 
-    /// The place `along_m` from the centre along the line or arc: position and rotation in array axes.
-    fn place(&self, along_m: f64) -> (DVec3, DQuat) {
+    /// The place `along_m` from the centre along the line or arc: position in array axes, metres, and rotation from its own axes to these.
+    pub fn place(&self, along_m: f64) -> (DVec3, DQuat) {
         let Some(radius_m) = self.radius_m else {
             return (DVec3::new(along_m, 0.0, 0.0), DQuat::IDENTITY);
         };

@@ -78,12 +78,10 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         let line = last - first;
         let square = line.length_squared().max(f64::MIN_POSITIVE);
         // An arc is this far off its chord, at most.
-        let bulge_m = pose
-            .point_m(array.mounting.position_m)
-            .distance(0.5 * (first + last));
+        let bulge_m = -array.element_m(0).z;
         for from_first in places.clone().map(|place| place_m(place) - first) {
             let along = (from_first.dot(line) / square).clamp(0.0, 1.0);
-            nearest_m = nearest_m.min((from_first - line * along).length() - bulge_m);
+            nearest_m = nearest_m.min(((from_first - line * along).length() - bulge_m).max(0.0));
         }
     }
     // What lies beyond the window is not heard; what is nearer than a wavelength is no far field of anything.

@@ -96,12 +96,7 @@ impl PulseEngines {
 
 /// Whether `gridded-lines` makes this array.
 pub(crate) fn is_line(array: &ArrayGeometry) -> bool {
-    let fits = match array.element_pattern {
-        Pattern::Omnidirectional => true,
-        Pattern::Rectangle { baffled, .. } => !(baffled && array.radius_m.is_some()),
-        Pattern::Part { .. } => false,
-    };
-    array.elements > 1 && fits
+    array.elements > 1 && !matches!(array.element_pattern, Pattern::Part { .. })
 }
 
 /// What all engines of a sonar have in common.

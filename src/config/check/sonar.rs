@@ -357,7 +357,7 @@ fn pattern(
     name: &Field<String>,
     [length, width]: [&Field<f64>; 2],
     spacing_m: Option<f64>,
-    baffled: &Field<bool>,
+    baffled: Option<bool>,
     problems: &mut Problems,
 ) -> Option<Pattern> {
     let (mut length_m, width_m) = (length.get()?, width.get()?);
@@ -377,13 +377,13 @@ fn pattern(
     Some(Pattern::Rectangle {
         length_m,
         width_m,
-        baffled: baffled.get()?,
+        baffled: baffled?,
     })
 }
 
 fn transmit(table: &keys::Transmit, problems: &mut Problems) -> Option<TransmitArray> {
     let sides = [&table.length_m, &table.width_m];
-    let pattern = pattern(&table.pattern, sides, None, &table.baffled, problems);
+    let pattern = pattern(&table.pattern, sides, None, table.baffled.get(), problems);
     let angles = [&table.roll_deg, &table.pitch_deg, &table.yaw_deg];
     Some(TransmitArray {
         mounting: mounting(&table.position_m, angles)?,
@@ -406,7 +406,11 @@ fn receive(
     };
     let sides = [&table.element_length_m, &table.element_width_m];
     let of_line_m = spacing_m.filter(|_| several == Some(true));
-    let baffled = &table.baffled;
+    // An arc has none, whatever the default is.
+    let baffled = table
+        .baffled
+        .get()
+        .map(|baffled| baffled && !table.radius_m.given);
     let element_pattern = pattern(&table.element_pattern, sides, of_line_m, baffled, problems);
     let angles = [&table.roll_deg, &table.pitch_deg, &table.yaw_deg];
     if let (Some(true), Some(spacing_m), Some(Pattern::Rectangle { length_m, .. })) =
@@ -433,25 +437,12 @@ fn receive(
         true => Some(table.radius_m.get()?),
         false => None,
     };
-    let element_pattern = match (radius_m, element_pattern?) {
-        (
-            Some(_),
-            Pattern::Rectangle {
-                length_m, width_m, ..
-            },
-        ) => Pattern::Rectangle {
-            length_m,
-            width_m,
-            baffled: false,
-        },
-        (_, pattern) => pattern,
-    };
     let array = ArrayGeometry {
         mounting: mounting(&table.position_m, angles)?,
         elements: elements?,
         spacing_m: spacing_m?,
         radius_m,
-        element_pattern,
+        element_pattern: element_pattern?,
         sensitivity_db: table.sensitivity_db.get()?,
         transmit: transmit?,
     };

@@ -56,7 +56,7 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
 use echotank_core::simd::SimdLevel;
-use groups::{BEAMS, Directions, Groups, Mix, Seen};
+use groups::{BEAMS, Directions, Grid, Grouping, Groups, Mix, Seen};
 use interpolation::{Interpolation, MAX_FRACTIONS, TAPS, band_hz, convolve};
 use second_sum::{CHUNK, sum_directions};
 use steering::{Foci, Focus, GridLayout, MIN_DISTANCE_M, Steering};
@@ -183,13 +183,12 @@ impl DelaySumFormer {
             false => ends(&steered.directions.sine),
         };
         let groups = Groups::new(
+            array,
             &sections,
-            array.spacing_m,
             (sector, fan.beams),
             (pulse, limits.sample_rate_hz, c),
             rows,
         );
-        let groups = groups.filter(|_| array.radius_m.is_none());
         let arc_groups = steered.arc.as_ref().and_then(|arc| {
             let pulse = (pulse, limits.sample_rate_hz, c);
             ArcGroups::new(array, (arc, has_halves), sector, pulse, rows)
@@ -261,8 +260,8 @@ impl DelaySumFormer {
         let rows = if interpolation.is_linear { 2 } else { 1 };
         let sector = ends(&super::directions::Directions::new(array, fan).sine);
         let groups = Groups::new(
+            array,
             &sections(array.elements, fan.form.bottom_detection),
-            array.spacing_m,
             (sector, fan.beams),
             (pulse, rate_hz, c),
             rows,
@@ -275,19 +274,17 @@ impl DelaySumFormer {
             let of = (arc, fan.form.bottom_detection);
             ArcGroups::new(array, of, sector, (pulse, rate_hz, c), rows)
         });
-        let (sums, parts) = match (&groups, &arc) {
-            (_, Some(arc)) => match &arc_groups {
-                Some(groups) => {
-                    let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-                    (groups.products(&directions, rows), groups.parts.len())
-                }
-                None => ((arc.terms() * rows) as f64, arc.terms() / fan.beams.max(1)),
-            },
-            (Some(groups), None) => (
+        let (sums, parts) = match (&groups, &arc_groups, &arc) {
+            (Some(groups), ..) => (
                 groups.products((sector, fan.beams), (pulse, c), rows),
                 groups.parts.len(),
             ),
-            (None, None) => ((array.elements * fan.beams * rows) as f64, array.elements),
+            (None, Some(groups), _) => (
+                groups.products(sector, (pulse, c), rows),
+                groups.parts.len(),
+            ),
+            (.., Some(arc)) => ((arc.terms() * rows) as f64, arc.terms() / fan.beams.max(1)),
+            (.., None) => ((array.elements * fan.beams * rows) as f64, array.elements),
         };
         // A real coefficient has half of the products of a complex one.
         let between =
@@ -459,7 +456,7 @@ impl DelaySumFormer {
     /// Directions of the groups for the fan of this ping, if there is room for them.
     fn aim_groups(&mut self) {
         if let (Some(groups), Some(arc)) = (&mut self.arc_groups, &self.steered.arc) {
-            groups.aim(arc, self.has_halves);
+            groups.aim(arc);
             let pulse = self.steered.correlator.pulse();
             let sector = ends(&self.steered.directions.sine);
             let c = self.steered.sound_speed_m_per_s;
@@ -576,15 +573,20 @@ impl DelaySumFormer {
             for tile in this.tiles.iter().skip(w).step_by(stride) {
                 // SAFETY: each tile has samples of its own, and one worker.
                 unsafe {
-                    match (tile.time_s, &this.steered.arc) {
-                        (Some(time_s), None) => {
-                            this.sum_groups(&steering, tile, time_s, worker, &out);
+                    match (
+                        tile.time_s,
+                        &this.groups,
+                        &this.arc_groups,
+                        &this.steered.arc,
+                    ) {
+                        (Some(time_s), Some(groups), ..) => {
+                            this.sum_groups(groups, &steering, (tile, time_s), worker, &out);
                         }
-                        (Some(time_s), Some(_)) => {
-                            this.sum_arc_groups(&steering, tile, time_s, worker, &out);
+                        (Some(time_s), None, Some(groups), _) => {
+                            this.sum_arc_groups(groups, &steering, (tile, time_s), worker, &out);
                         }
-                        (None, Some(arc)) => this.sum_arc(arc, &steering, tile, worker, &out),
-                        (None, None) => this.sum_elements(&steering, tile, worker, &out),
+                        (.., Some(arc)) => this.sum_arc(arc, &steering, tile, worker, &out),
+                        (.., None) => this.sum_elements(&steering, tile, worker, &out),
                     }
                 }
             }
@@ -630,15 +632,7 @@ impl DelaySumFormer {
                         row,
                         origin: self.margin + from - tile.first,
                     };
-                    let sines = &self.steered.directions.sine;
-                    self.simd_level.run(
-                        #[inline(always)]
-                        || {
-                            for (focus, sine) in worker.focus.iter_mut().zip(sines) {
-                                *focus = steering.focus(*sine, zone.time_s);
-                            }
-                        },
-                    );
+                    self.focus_beams(steering, zone, &mut worker.focus);
                     for (focus, total) in worker.focus.iter().zip(&mut worker.tile) {
                         let (interpolation, to_sum) = (&self.interpolation, (x_m, weights));
                         self.simd_level.run(
@@ -677,15 +671,7 @@ impl DelaySumFormer {
             self.interpolate(tile, block.clone(), &mut worker.grid);
             for (_, zone) in self.zones_of(tile) {
                 let (from, to) = (zone.first.max(tile.first), zone.end.min(tile.end));
-                let sines = &self.steered.directions.sine;
-                self.simd_level.run(
-                    #[inline(always)]
-                    || {
-                        for (focus, sine) in worker.focus.iter_mut().zip(sines) {
-                            *focus = steering.focus(*sine, zone.time_s);
-                        }
-                    },
-                );
+                self.focus_beams(steering, zone, &mut worker.focus);
                 let of_beams = worker.focus.iter().zip(&mut worker.tile).zip(&arc.beams);
                 for ((focus, total), beam) in of_beams {
                     for (s, section) in beam.sections(self.has_halves).enumerate() {
@@ -724,6 +710,19 @@ impl DelaySumFormer {
         unsafe { self.finish_tile(tile, worker, out) };
     }
 
+    /// The points in focus of all beams in a zone.
+    fn focus_beams(&self, steering: &Steering, zone: &Zone, foci: &mut [Focus]) {
+        let sines = &self.steered.directions.sine;
+        self.simd_level.run(
+            #[inline(always)]
+            || {
+                for (focus, sine) in foci.iter_mut().zip(sines) {
+                    *focus = steering.focus(*sine, zone.time_s);
+                }
+            },
+        );
+    }
+
     /// Writes the sums of a tile.
     ///
     /// # Safety
@@ -743,83 +742,36 @@ impl DelaySumFormer {
         }
     }
 
-    /// Sums a tile group by group and writes it.
+    /// Sums a tile of a line group by group and writes it.
     ///
     /// # Safety
     /// As of [`DelaySumFormer::sum_elements`].
     unsafe fn sum_groups(
         &self,
+        groups: &Groups,
         steering: &Steering,
-        tile: &Tile,
-        time_s: f64,
+        (tile, time_s): (&Tile, f64),
         worker: &mut Worker,
         out: &Outputs,
     ) {
-        let (Some(groups), Some(directions)) = (&self.groups, &self.directions) else {
-            unreachable!("tiles without groups have no focus of groups");
-        };
-        let samples = tile.end - tile.first;
-        let row = grid_row(self.margin);
-        let layout = GridLayout {
-            row,
-            origin: self.margin,
-        };
-        let mut taps = [Taps::NONE; FOCI];
-        let chunk_rows = 2 * CHUNK * directions.count;
-        let of_group = groups.parts.iter().zip(&groups.x_m);
-        for ((part, x_group), grid) in of_group.zip(&directions.of_group) {
-            self.interpolate(tile, part.clone(), &mut worker.grid);
-            let x_m = &self.x_m[part.clone()];
-            // The weights of the whole line in f32, as of every zone of such a tile.
-            let z = self.zones.partition_point(|zone| zone.end <= tile.first);
-            let weights = &self.zone_weights[z * self.x_m.len()..][part.clone()];
-            for first in (0..grid.count).step_by(FOCI) {
-                let taps = &mut taps[..FOCI.min(grid.count - first)];
-                let (interpolation, to_sum) = (&self.interpolation, (x_m, weights));
-                self.simd_level.run(
-                    #[inline(always)]
-                    || {
-                        for (j, taps) in taps.iter_mut().enumerate() {
-                            let focus = &steering.focus(grid.sine(first + j), time_s);
-                            let late_m = steering.late_m(focus, *x_group);
-                            steering.steer(focus, to_sum, late_m, interpolation, layout, taps);
-                        }
-                    },
-                );
-                self.sum_foci(
-                    worker,
-                    taps,
-                    (row, samples),
-                    (chunk_rows, grid.before + first),
-                );
-            }
-        }
-        let BeamBatch { foci, seen, mix } = &mut *worker.beams;
-        for (batch, sines) in self.steered.directions.sine.chunks(BEAMS).enumerate() {
-            let beams = sines.len();
-            let sines = &std::array::from_fn(|i| sines[i.min(beams - 1)]);
-            self.simd_level.run(
-                #[inline(always)]
-                || {
-                    steering.focus_all(sines, time_s, foci);
-                    groups.see(directions, foci, seen);
-                },
-            );
-            for (_, zone) in self.zones_of(tile) {
-                self.simd_level.run(
-                    #[inline(always)]
-                    || {
-                        steering.focus_all(sines, zone.time_s, foci);
-                        groups.mix(steering, directions, seen, foci, mix);
-                    },
-                );
-                let span = zone.first.max(tile.first)..zone.end.min(tile.end);
-                let rows = (&worker.directions[..], chunk_rows);
-                let sections = &groups.sections;
-                // SAFETY: the caller guarantees that the samples are this tile's alone.
-                unsafe { self.mix_zone(rows, (mix, batch, beams), sections, (tile, span), out) };
-            }
-        }
+        // The weights of the whole line in f32, as of every zone of such a tile.
+        let z = self.zones.partition_point(|zone| zone.end <= tile.first);
+        let weights = &self.zone_weights[z * self.x_m.len()..];
+        let layout = self.tile_layout();
+        self.sum_directions_of(
+            (&groups.parts, tile),
+            worker,
+            #[inline(always)]
+            |g, grid, j, taps| {
+                let part = groups.parts[g].clone();
+                let focus = &steering.focus(grid.sine(j), time_s);
+                let late_m = steering.late_m(focus, groups.x_m[g]);
+                let to_sum = (&self.x_m[part.clone()], &weights[part]);
+                steering.steer(focus, to_sum, late_m, &self.interpolation, layout, taps);
+            },
+        );
+        // SAFETY: the caller guarantees that the samples are this tile's alone.
+        unsafe { self.mix_tile(groups, steering, (tile, time_s), worker, out) };
     }
 
     /// Sums a tile of the beams of an arc group by group and writes it.
@@ -828,56 +780,101 @@ impl DelaySumFormer {
     /// As of [`DelaySumFormer::sum_elements`].
     unsafe fn sum_arc_groups(
         &self,
+        groups: &ArcGroups,
         steering: &Steering,
-        tile: &Tile,
-        time_s: f64,
+        (tile, time_s): (&Tile, f64),
         worker: &mut Worker,
         out: &Outputs,
     ) {
-        let (Some(groups), Some(directions)) = (&self.arc_groups, &self.directions) else {
+        let even = [1.0f32; BLOCK];
+        let layout = self.tile_layout();
+        self.sum_directions_of(
+            (&groups.parts, tile),
+            worker,
+            #[inline(always)]
+            |g, grid, j, taps| {
+                let part = groups.parts[g].clone();
+                let focus = &steering.focus_towards(groups.toward(g, grid, j), time_s);
+                let late_m = steering.late_m_of(focus, groups.place_m[g]);
+                let places = [&self.x_m[part.clone()], &self.z_m[part.clone()]];
+                let to_sum = (places, &even[..part.len()]);
+                steering.steer_arc(focus, to_sum, late_m, &self.interpolation, layout, taps);
+            },
+        );
+        // SAFETY: the caller guarantees that the samples are this tile's alone.
+        unsafe { self.mix_tile(groups, steering, (tile, time_s), worker, out) };
+    }
+
+    /// The grid from the first sample of a tile on.
+    fn tile_layout(&self) -> GridLayout {
+        GridLayout {
+            row: grid_row(self.margin),
+            origin: self.margin,
+        }
+    }
+
+    /// The first sums of a tile: each group in its directions. `steer` gives the rows and weights of a group in one of them.
+    fn sum_directions_of(
+        &self,
+        (parts, tile): (&[Range<usize>], &Tile),
+        worker: &mut Worker,
+        steer: impl Fn(usize, &Grid, usize, &mut Taps),
+    ) {
+        let Some(directions) = &self.directions else {
             unreachable!("tiles without groups have no focus of groups");
         };
         let samples = tile.end - tile.first;
         let row = grid_row(self.margin);
-        let layout = GridLayout {
-            row,
-            origin: self.margin,
-        };
-        let even = [1.0f32; BLOCK];
-        let mut taps = [Taps::NONE; FOCI];
         let chunk_rows = 2 * CHUNK * directions.count;
-        for (g, part) in groups.parts.iter().enumerate() {
+        let mut taps = [Taps::NONE; FOCI];
+        for ((g, part), grid) in parts.iter().enumerate().zip(&directions.of_group) {
             self.interpolate(tile, part.clone(), &mut worker.grid);
-            let grid = &directions.of_group[g];
-            let places = [&self.x_m[part.clone()], &self.z_m[part.clone()]];
             for first in (0..grid.count).step_by(FOCI) {
                 let taps = &mut taps[..FOCI.min(grid.count - first)];
-                let (interpolation, to_sum) = (&self.interpolation, (places, &even[..part.len()]));
                 self.simd_level.run(
                     #[inline(always)]
                     || {
                         for (j, taps) in taps.iter_mut().enumerate() {
-                            let toward = groups.toward(g, grid, first + j);
-                            let focus = &steering.focus_towards(toward, time_s);
-                            let late_m = steering.late_m_of(focus, groups.place_m[g]);
-                            steering.steer_arc(focus, to_sum, late_m, interpolation, layout, taps);
+                            steer(g, grid, first + j, taps);
                         }
                     },
                 );
-                self.sum_foci(
-                    worker,
-                    taps,
-                    (row, samples),
-                    (chunk_rows, grid.before + first),
-                );
+                let chunks = worker.directions.chunks_mut(chunk_rows);
+                for (from, rows) in (0..samples).step_by(CHUNK).zip(chunks) {
+                    let rows = &mut rows[2 * CHUNK * (grid.before + first)..];
+                    for (taps, row_of) in taps.iter().zip(rows.chunks_exact_mut(2 * CHUNK)) {
+                        row_of.fill(0.0);
+                        let (re, im) = row_of.split_at_mut(CHUNK);
+                        let samples = CHUNK.min(samples - from);
+                        let sums = [&mut re[..samples], &mut im[..samples]];
+                        add_rows(self.simd_level, &worker.grid[from..], row, taps, sums);
+                    }
+                }
             }
         }
-        let section_count = self.sections.len();
+    }
+
+    /// The second sums of a tile: the directions of all groups in each beam, which are written.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn mix_tile(
+        &self,
+        groups: &impl Grouping,
+        steering: &Steering,
+        (tile, time_s): (&Tile, f64),
+        worker: &mut Worker,
+        out: &Outputs,
+    ) {
+        let Some(directions) = &self.directions else {
+            unreachable!("tiles without groups have no focus of groups");
+        };
+        let chunk_rows = 2 * CHUNK * directions.count;
         let BeamBatch { foci, seen, mix } = &mut *worker.beams;
         for (batch, sines) in self.steered.directions.sine.chunks(BEAMS).enumerate() {
             let beams = sines.len();
             let sines = &std::array::from_fn(|i| sines[i.min(beams - 1)]);
-            let sections = &groups.sections[batch][..section_count];
+            let sections = groups.sections(batch);
             self.simd_level.run(
                 #[inline(always)]
                 || {
@@ -893,70 +890,32 @@ impl DelaySumFormer {
                         groups.mix(steering, (batch, directions), seen, foci, mix);
                     },
                 );
-                let span = zone.first.max(tile.first)..zone.end.min(tile.end);
-                let rows = (&worker.directions[..], chunk_rows);
-                // SAFETY: the caller guarantees that the samples are this tile's alone.
-                unsafe { self.mix_zone(rows, (mix, batch, beams), sections, (tile, span), out) };
+                let (mut first, end) = (zone.first.max(tile.first), zone.end.min(tile.end));
+                while first < end {
+                    let (chunk, origin) =
+                        ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
+                    let rows = &worker.directions[chunk * chunk_rows..];
+                    let samples = (CHUNK - origin).min(end - first);
+                    let (of, at) = ((&*mix, beams), (origin, samples));
+                    sum_directions(
+                        self.simd_level,
+                        rows,
+                        of,
+                        sections,
+                        at,
+                        #[inline(always)]
+                        |i, totals| {
+                            let sums = totals
+                                .each_ref()
+                                .map(|parts| parts.each_ref().map(|part| &part[..samples]));
+                            let sums = &sums[..sections.len()];
+                            // SAFETY: the caller guarantees that the samples are this tile's alone.
+                            unsafe { finish(batch * BEAMS + i, first, sums, out) };
+                        },
+                    );
+                    first += samples;
+                }
             }
-        }
-    }
-
-    /// Sums the rows of some elements in the directions of `taps`, which begin at direction `at`.
-    fn sum_foci(
-        &self,
-        worker: &mut Worker,
-        taps: &[Taps],
-        (row, samples): (usize, usize),
-        (chunk_rows, at): (usize, usize),
-    ) {
-        let chunks = worker.directions.chunks_mut(chunk_rows);
-        for (from, rows) in (0..samples).step_by(CHUNK).zip(chunks) {
-            let rows = &mut rows[2 * CHUNK * at..];
-            for (taps, row_of) in taps.iter().zip(rows.chunks_exact_mut(2 * CHUNK)) {
-                row_of.fill(0.0);
-                let (re, im) = row_of.split_at_mut(CHUNK);
-                let samples = CHUNK.min(samples - from);
-                let sums = [&mut re[..samples], &mut im[..samples]];
-                add_rows(self.simd_level, &worker.grid[from..], row, taps, sums);
-            }
-        }
-    }
-
-    /// Sums the directions of a batch of beams over the samples `span` of a tile and writes them.
-    ///
-    /// # Safety
-    /// As of [`DelaySumFormer::sum_elements`].
-    unsafe fn mix_zone(
-        &self,
-        (directions, chunk_rows): (&[f32], usize),
-        (mix, batch, beams): (&Mix, usize, usize),
-        sections: &[Range<usize>],
-        (tile, span): (&Tile, Range<usize>),
-        out: &Outputs,
-    ) {
-        let (mut first, end) = (span.start, span.end);
-        while first < end {
-            let (chunk, origin) = ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
-            let rows = &directions[chunk * chunk_rows..];
-            let samples = (CHUNK - origin).min(end - first);
-            let (of, at) = ((mix, beams), (origin, samples));
-            sum_directions(
-                self.simd_level,
-                rows,
-                of,
-                sections,
-                at,
-                #[inline(always)]
-                |i, totals| {
-                    let sums = totals
-                        .each_ref()
-                        .map(|parts| parts.each_ref().map(|part| &part[..samples]));
-                    let sums = &sums[..sections.len()];
-                    // SAFETY: the caller guarantees that the samples are this tile's alone.
-                    unsafe { finish(batch * BEAMS + i, first, sums, out) };
-                },
-            );
-            first += samples;
         }
     }
 

@@ -402,13 +402,10 @@ struct Element {
 
 impl Element {
     fn new(array: &ArrayGeometry, element: usize) -> Self {
-        let own = array.element_mounting(element).body_from_array;
+        let (at_m, turn) = array.place(array.along_m(element));
         Self {
-            at_m: array.element_m(element),
-            from_array: match array.radius_m {
-                None => DQuat::IDENTITY,
-                Some(_) => own.inverse() * array.mounting.body_from_array,
-            },
+            at_m,
+            from_array: turn.inverse(),
         }
     }
 }

@@ -70,7 +70,7 @@ impl ArcApertures {
             normal_rad: normals.collect(),
             taper,
             beams: Vec::with_capacity(fan.beams),
-            weights: Vec::new(),
+            weights: Vec::with_capacity(fan.beams * array.elements),
             own: Vec::with_capacity(array.elements),
             half_width: half_power_sine(&weights, |e| whole[e].0 / deviation_m),
             half_m: 0.0,

@@ -8,21 +8,19 @@ use std::ops::Range;
 
 use super::arc::ArcApertures;
 use super::groups::{
-    BEAMS, Directions, Grid, MAX_CURVATURE_RAD, MAX_ENVELOPE_RAD, MAX_GROUPS, Mix, OVERSAMPLING,
-    REACH, Seen, TAPS, TERMS, kernel, taps_at,
+    ADVANTAGE, BEAMS, Directions, Grid, Grouping, MAX_GROUPS, Mix, Seen, TAPS, TERMS, kernel,
+    max_curvature_per_m,
 };
 use super::interpolation::band_hz;
-use super::steering::{Foci, Steering, turn, whole_number};
+use super::steering::{Foci, Steering, turn};
 use echotank_core::arrays::ArrayGeometry;
-use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::pulse::Pulse;
 
-/// Groups of an aperture, at least: with fewer the steps of the shading would raise side lobes.
+/// Groups of an aperture, at least: the steps of the shading are the smaller, the more there are.
 const GROUPS_OF_APERTURE: f64 = 16.0;
 /// Side lobes begin this many widths beside the axis, and are looked at in so many directions.
 const MAIN_LOBE: f64 = 1.5;
 const LOBE_ANGLES: usize = 1500;
-/// The dense sum has fewer steps for each product.
-const ADVANTAGE: f64 = 1.3;
 
 /// Division of an arc into groups.
 pub(super) struct ArcGroups {
@@ -42,12 +40,13 @@ pub(super) struct ArcGroups {
     kernel: [[f32; TERMS]; TAPS / 2],
     /// Of each group in every beam.
     weights: Vec<[f32; MAX_GROUPS]>,
-    /// Groups of each section of [`BEAMS`] beams.
-    pub(super) sections: Vec<[Range<usize>; 2]>,
+    /// Groups of each section of [`BEAMS`] beams; the second is not used without halves.
+    sections: Vec<[Range<usize>; 2]>,
+    has_halves: bool,
 }
 
 impl ArcGroups {
-    /// None if there are too few elements in an aperture, or if the dense sum has fewer products. `rows` is the number of rows for each delay.
+    /// None if the dense sum has fewer products, or if the steps of the shading would be large or raise side lobes. `rows` is the number of rows for each delay.
     pub(super) fn new(
         array: &ArrayGeometry,
         (arc, has_halves): (&ArcApertures, bool),
@@ -68,9 +67,7 @@ impl ArcGroups {
         for (g, part) in parts.iter().enumerate() {
             let middle = 0.5 * (part.start + part.end - 1) as f64;
             let along_m = array.spacing_m * (middle - 0.5 * (array.elements - 1) as f64);
-            let mounting = array.mounting_at(along_m);
-            let inverse = array.mounting.body_from_array.inverse();
-            let at_m = inverse * (mounting.position_m - array.mounting.position_m);
+            let (at_m, _) = array.place(along_m);
             place_m[g] = [at_m.x as f32, at_m.z as f32];
             normal_rad[g] = along_m / radius_m;
         }
@@ -86,11 +83,11 @@ impl ArcGroups {
             kernel: kernel(),
             weights: Vec::with_capacity(arc.beams.len()),
             sections: Vec::with_capacity(arc.beams.len().div_ceil(BEAMS)),
+            has_halves,
         };
-        groups.aim(arc, has_halves);
+        groups.aim(arc);
         groups.capacity = groups.directions(sector, pulse, rate_hz, c).count;
-        let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-        let products = groups.products(&directions, rows);
+        let products = groups.products(sector, (pulse, c), rows);
         let is_faster = ADVANTAGE * products < (arc.terms() * rows) as f64;
         let wavelength_m = c / pulse.center_frequency_hz;
         (is_faster && groups.steps_are_low(array, arc, wavelength_m)).then_some(groups)
@@ -133,20 +130,16 @@ impl ArcGroups {
     }
 
     /// Products for each sample of all beams.
-    pub(super) fn products(&self, directions: &Directions, rows: usize) -> f64 {
+    pub(super) fn products(&self, sector: [f64; 2], (pulse, c): (&Pulse, f64), rows: usize) -> f64 {
+        let directions = self.directions(sector, pulse, band_hz(pulse), c);
         let longest = self.parts.iter().map(Range::len).max().unwrap_or(0);
-        let mixed = self
-            .sections
-            .iter()
-            .flatten()
-            .map(Range::len)
-            .sum::<usize>()
-            * BEAMS;
-        (directions.count * longest * rows + mixed * (TAPS / 2 + 1)) as f64
+        let mixed: usize = self.sections.iter().flatten().map(Range::len).sum();
+        // A real coefficient has half of the products of a complex one.
+        (directions.count * longest * rows + mixed * BEAMS * (TAPS / 2 + 1)) as f64
     }
 
     /// Takes the elements and the weights of the beams.
-    pub(super) fn aim(&mut self, arc: &ArcApertures, has_halves: bool) {
+    pub(super) fn aim(&mut self, arc: &ArcApertures) {
         self.reach_m = arc.reach_m;
         self.weights.clear();
         for beam in &arc.beams {
@@ -171,7 +164,7 @@ impl ArcGroups {
             let group = of(middle.min(self.parts.last().map_or(0, |part| part.end - 1)));
             let part = &self.parts[group];
             let split = group + usize::from(2 * middle > part.start + part.end);
-            let split = if has_halves {
+            let split = if self.has_halves {
                 split.clamp(first, end)
             } else {
                 end
@@ -188,36 +181,16 @@ impl ArcGroups {
         band_hz: f64,
         c: f64,
     ) -> Directions {
-        let edge_hz = match pulse.kind {
-            PulseKind::Cw => band_hz,
-            _ => 0.5 * band_hz,
-        };
-        let mut directions = Directions {
-            of_group: [Grid::default(); MAX_GROUPS],
-            count: 0,
-        };
-        let margin = TAPS / 2 + REACH;
         let [from_rad, to_rad] = sector.map(|sine| sine.clamp(-1.0, 1.0).asin());
-        let groups = self.place_m.iter().zip(self.normal_rad);
-        let grids = directions.of_group[..self.parts.len()].iter_mut();
-        for (grid, ([x_m, z_m], normal_rad)) in grids.zip(groups) {
-            let half_rad = self.half_aperture_rad;
-            let from = (from_rad - normal_rad).clamp(-half_rad, half_rad);
-            let to = (to_rad - normal_rad).clamp(-half_rad, half_rad);
+        let half_rad = self.half_aperture_rad;
+        let places = self.place_m[..self.parts.len()].iter();
+        let groups = places.zip(self.normal_rad).map(|([x_m, z_m], normal_rad)| {
+            let sine = |rad: f64| (rad - normal_rad).clamp(-half_rad, half_rad).sin();
             // The delay of the centre changes by its distance from the array's for each radian, and v by the cosine.
             let end_m = f64::from(x_m.hypot(*z_m)) / half_rad.min(1.2).cos() + self.half_m;
-            let cycles = (pulse.center_frequency_hz * self.half_m + edge_hz * end_m) / c;
-            let step = 0.5 / (OVERSAMPLING * cycles);
-            let (first, last) = (from.sin(), to.sin());
-            *grid = Grid {
-                first: first - margin as f64 * step,
-                step,
-                count: ((last - first) / step).ceil() as usize + 2 * margin,
-                before: directions.count,
-            };
-            directions.count += grid.count;
-        }
-        directions
+            ([sine(from_rad), sine(to_rad)], end_m)
+        });
+        Directions::new(groups, self.half_m, (pulse, band_hz, c))
     }
 
     /// Unit vector of direction `j` of group `g`, along the array's axis and along the boresight.
@@ -228,17 +201,23 @@ impl ArcGroups {
 
     /// Largest change of 1/r from the range of a tile to its ends.
     pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
-        let wavelength_m = c / pulse.center_frequency_hz;
-        let curvature = std::f64::consts::PI * self.half_m * self.half_m / wavelength_m;
-        let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);
-        let envelope = 0.5 * self.reach_m * self.reach_m / c * rms_rad_per_s;
         // The outer beams of a line have this error in its outermost group only, those of an arc in most: squares of even places have an rms of 1/sqrt(5).
-        (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / (5f64.sqrt() * envelope))
+        max_curvature_per_m(self.half_m, 5f64.powf(0.25) * self.reach_m, pulse, c)
     }
 
-    /// Beams focused on the range of the tile, in batch `batch`.
+    fn groups(&self, batch: usize) -> Range<usize> {
+        let [a, b] = &self.sections[batch];
+        a.start..b.end
+    }
+}
+
+impl Grouping for ArcGroups {
+    fn sections(&self, batch: usize) -> &[Range<usize>] {
+        &self.sections[batch][..if self.has_halves { 2 } else { 1 }]
+    }
+
     #[inline(always)]
-    pub(super) fn see(&self, batch: usize, directions: &Directions, foci: &Foci, seen: &mut Seen) {
+    fn see(&self, batch: usize, directions: &Directions, foci: &Foci, seen: &mut Seen) {
         for g in self.groups(batch) {
             let grid = &directions.of_group[g];
             let (first, per_step) = (grid.first as f32, (1.0 / grid.step) as f32);
@@ -261,9 +240,8 @@ impl ArcGroups {
         }
     }
 
-    /// Coefficients of beams focused on a zone.
     #[inline(always)]
-    pub(super) fn mix(
+    fn mix(
         &self,
         steering: &Steering,
         (batch, directions): (usize, &Directions),
@@ -271,12 +249,11 @@ impl ArcGroups {
         foci: &Foci,
         mix: &mut Mix,
     ) {
-        let (cycles_per_m, mach) = (steering.cycles_per_m(), steering.mach());
+        let mach = steering.mach();
         let beams = &self.weights[batch * BEAMS..];
         for g in self.groups(batch) {
             let grid = &directions.of_group[g];
-            let last = (grid.count - TAPS) as i32;
-            let (place, before) = (self.place_m[g], grid.before as i32);
+            let place = self.place_m[g];
             let (sin, cos) = self.normal_rad[g].sin_cos();
             let tangent = [cos as f32, -sin as f32];
             let mut at = seen.at[g];
@@ -296,22 +273,11 @@ impl ArcGroups {
                     }
                 }
             }
-            for (at, to) in at.iter_mut().zip(&mut mix.first[g]) {
-                let first = (whole_number(*at - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
-                *at = *at - first as f32 - (TAPS / 2) as f32 + 0.5;
-                *to = (before + first) as u32;
-            }
-            for (i, late_m) in late_m.iter().enumerate() {
+            mix.set(g, grid, (&self.kernel, at), |i| {
                 let weight = beams.get(i).map_or(0.0, |weights| weights[g]);
-                let (sin, cos) = turn(late_m * cycles_per_m);
-                (mix.sin[g][i], mix.cos[g][i]) = (weight * sin, weight * cos);
-            }
-            taps_at(&self.kernel, &at, &mut mix.w[g]);
+                let (sin, cos) = turn(late_m[i] * steering.cycles_per_m());
+                (weight * sin, weight * cos)
+            });
         }
-    }
-
-    fn groups(&self, batch: usize) -> Range<usize> {
-        let [a, b] = &self.sections[batch];
-        a.start..b.end
     }
 }

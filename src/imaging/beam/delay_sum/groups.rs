@@ -16,6 +16,7 @@ use std::ops::Range;
 use super::interpolation::{band_hz, least_squares, solve};
 use super::steering::{Foci, Steering, turn, whole_number};
 use crate::beam::kernel::BLOCK;
+use echotank_core::arrays::ArrayGeometry;
 use echotank_core::pulse::{Pulse, PulseKind};
 
 /// Maximum number of groups; of a line, [`GROUPS_OF_LINE`].
@@ -26,24 +27,43 @@ pub(super) const TAPS: usize = 6;
 /// Beams whose coefficients are computed together.
 pub(super) const BEAMS: usize = 16;
 /// Directions for each half cycle of the fastest variation of a group.
-pub(super) const OVERSAMPLING: f64 = 1.8;
+const OVERSAMPLING: f64 = 1.8;
 /// Number of coefficients of the polynomials of the interpolation kernel: even.
 pub(super) const TERMS: usize = 6;
 /// Directions beyond those of the outermost beams, for the change of direction within a tile.
-pub(super) const REACH: usize = 1;
+const REACH: usize = 1;
 /// Phase error at the ends of a group by the change of its curvature within a tile.
-pub(super) const MAX_CURVATURE_RAD: f64 = 0.05;
+const MAX_CURVATURE_RAD: f64 = 0.05;
 /// Phase error of the outermost group at the rms frequency of the envelope within a tile.
-pub(super) const MAX_ENVELOPE_RAD: f64 = 0.08;
+const MAX_ENVELOPE_RAD: f64 = 0.08;
 /// The dense sum has fewer steps for each product.
-const ADVANTAGE: f64 = 1.3;
+pub(super) const ADVANTAGE: f64 = 1.3;
+
+/// Groups of elements, as the second sums see them.
+pub(super) trait Grouping {
+    /// Groups of each section of a batch of [`BEAMS`] beams.
+    fn sections(&self, batch: usize) -> &[Range<usize>];
+
+    /// Beams of a batch, focused on the range of the tile.
+    fn see(&self, batch: usize, directions: &Directions, foci: &Foci, seen: &mut Seen);
+
+    /// Coefficients of the beams of a batch, focused on a zone.
+    fn mix(
+        &self,
+        steering: &Steering,
+        of: (usize, &Directions),
+        seen: &Seen,
+        foci: &Foci,
+        mix: &mut Mix,
+    );
+}
 
 /// Division of a line into groups.
 pub(super) struct Groups {
     /// Elements of each group; none crosses a section.
     pub(super) parts: Vec<Range<usize>>,
     /// Groups of each section.
-    pub(super) sections: Vec<Range<usize>>,
+    sections: Vec<Range<usize>>,
     /// Centres along the line, metres.
     pub(super) x_m: [f32; MAX_GROUPS],
     /// Half the length of the longest group.
@@ -62,6 +82,38 @@ pub(super) struct Directions {
     pub(super) of_group: [Grid; MAX_GROUPS],
     /// Of all groups.
     pub(super) count: usize,
+}
+
+impl Directions {
+    /// Of groups with these sectors, of sines, and these distances of their far ends, metres; `half_m` is half the length of the longest.
+    pub(super) fn new(
+        groups: impl Iterator<Item = ([f64; 2], f64)>,
+        half_m: f64,
+        (pulse, band_hz, c): (&Pulse, f64, f64),
+    ) -> Self {
+        // The compressed echo of a CW pulse has its first zeros at twice this bandwidth.
+        let edge_hz = match pulse.kind {
+            PulseKind::Cw => band_hz,
+            _ => 0.5 * band_hz,
+        };
+        let mut directions = Self {
+            of_group: [Grid::default(); MAX_GROUPS],
+            count: 0,
+        };
+        let margin = TAPS / 2 + REACH;
+        for (grid, ([from, to], end_m)) in directions.of_group.iter_mut().zip(groups) {
+            let cycles = (pulse.center_frequency_hz * half_m + edge_hz * end_m) / c;
+            let step = 0.5 / (OVERSAMPLING * cycles);
+            *grid = Grid {
+                first: from - margin as f64 * step,
+                step,
+                count: ((to - from) / step).ceil() as usize + 2 * margin,
+                before: directions.count,
+            };
+            directions.count += grid.count;
+        }
+        directions
+    }
 }
 
 /// Directions of one group, in equal steps of the sine.
@@ -117,18 +169,21 @@ impl Mix {
 }
 
 impl Groups {
-    /// The division with the fewest products, if the dense sum has more. `rows` is the number of rows for each delay.
+    /// The division of a line with the fewest products, if the dense sum has more. `rows` is the number of rows for each delay.
     pub(super) fn new(
+        array: &ArrayGeometry,
         sections: &[Range<usize>],
-        spacing_m: f64,
         (sector, beams): ([f64; 2], usize),
         (pulse, rate_hz, c): (&Pulse, f64, f64),
         rows: usize,
     ) -> Option<Self> {
-        let elements = sections.last()?.end;
+        if array.radius_m.is_some() {
+            return None;
+        }
+        let elements = array.elements;
         let mut best: Option<(f64, Self)> = None;
         for size in [8, 16, BLOCK] {
-            let groups = Self::of_size(size, sections, spacing_m)?;
+            let groups = Self::of_size(size, sections, array.spacing_m)?;
             if groups.parts.len() > GROUPS_OF_LINE {
                 continue;
             }
@@ -194,46 +249,24 @@ impl Groups {
         band_hz: f64,
         c: f64,
     ) -> Directions {
-        // The compressed echo of a CW pulse has its first zeros at twice this bandwidth.
-        let edge_hz = match pulse.kind {
-            PulseKind::Cw => band_hz,
-            _ => 0.5 * band_hz,
-        };
-        let mut directions = Directions {
-            of_group: [Grid::default(); MAX_GROUPS],
-            count: 0,
-        };
-        let margin = TAPS / 2 + REACH;
-        for (grid, x_m) in directions.of_group[..self.parts.len()]
-            .iter_mut()
-            .zip(self.x_m)
-        {
-            let end_m = f64::from(x_m.abs()) + self.half_m;
-            let cycles = (pulse.center_frequency_hz * self.half_m + edge_hz * end_m) / c;
-            let step = 0.5 / (OVERSAMPLING * cycles);
-            *grid = Grid {
-                first: sector[0] - margin as f64 * step,
-                step,
-                count: ((sector[1] - sector[0]) / step).ceil() as usize + 2 * margin,
-                before: directions.count,
-            };
-            directions.count += grid.count;
-        }
-        directions
+        let groups = self.x_m[..self.parts.len()].iter();
+        let of_group = groups.map(|x_m| (sector, f64::from(x_m.abs()) + self.half_m));
+        Directions::new(of_group, self.half_m, (pulse, band_hz, c))
     }
 
     /// Largest change of 1/r from the range of a tile to its ends.
     pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
-        let wavelength_m = c / pulse.center_frequency_hz;
-        let curvature = std::f64::consts::PI * self.half_m * self.half_m / wavelength_m;
-        let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);
-        let envelope = 0.5 * self.line_half_m * self.line_half_m / c * rms_rad_per_s;
-        (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / envelope)
+        max_curvature_per_m(self.half_m, self.line_half_m, pulse, c)
+    }
+}
+
+impl Grouping for Groups {
+    fn sections(&self, _: usize) -> &[Range<usize>] {
+        &self.sections
     }
 
-    /// Beams focused on the range of the tile.
     #[inline(always)]
-    pub(super) fn see(&self, directions: &Directions, foci: &Foci, seen: &mut Seen) {
+    fn see(&self, _: usize, directions: &Directions, foci: &Foci, seen: &mut Seen) {
         for (g, grid) in directions.of_group[..self.parts.len()].iter().enumerate() {
             let (first, per_step) = (grid.first, 1.0 / grid.step);
             let x = self.x_m[g];
@@ -249,20 +282,18 @@ impl Groups {
         }
     }
 
-    /// Coefficients of beams focused on a zone.
     #[inline(always)]
-    pub(super) fn mix(
+    fn mix(
         &self,
         steering: &Steering,
-        directions: &Directions,
+        (_, directions): (usize, &Directions),
         seen: &Seen,
         foci: &Foci,
         mix: &mut Mix,
     ) {
-        let (cycles_per_m, mach) = (steering.cycles_per_m(), steering.mach());
+        let mach = steering.mach();
         for (g, grid) in directions.of_group[..self.parts.len()].iter().enumerate() {
-            let last = (grid.count - TAPS) as i32;
-            let (x, before) = (self.x_m[g], grid.before as i32);
+            let x = self.x_m[g];
             let mut at = seen.at[g];
             let mut late_m = [0.0f32; BEAMS];
             // Loops without branches or divisions of f64, so that they vectorise.
@@ -280,39 +311,56 @@ impl Groups {
                     }
                 }
             }
-            for (at, to) in at.iter_mut().zip(&mut mix.first[g]) {
-                let first = (whole_number(*at - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
-                *at = *at - first as f32 - (TAPS / 2) as f32 + 0.5;
-                *to = (before + first) as u32;
-            }
-            for (i, late_m) in late_m.iter().enumerate() {
-                (mix.sin[g][i], mix.cos[g][i]) = turn(late_m * cycles_per_m);
-            }
-            taps_at(&self.kernel, &at, &mut mix.w[g]);
+            mix.set(g, grid, (&self.kernel, at), |i| {
+                turn(late_m[i] * steering.cycles_per_m())
+            });
         }
     }
 }
 
-/// Coefficients of all taps at positions between the two middle directions.
-#[inline(always)]
-pub(super) fn taps_at(
-    kernel: &[[f32; TERMS]; TAPS / 2],
-    at: &[f32; BEAMS],
-    w: &mut [[f32; BEAMS]; TAPS],
-) {
-    for (t, terms) in kernel.iter().enumerate() {
-        for (i, at) in at.iter().enumerate() {
-            let square = at * at;
-            let (mut even, mut odd) = (0.0, 0.0);
-            for pair in terms.chunks_exact(2).rev() {
-                even = even * square + pair[0];
-                odd = odd * square + pair[1];
+impl Mix {
+    /// Sets the coefficients of group `g`, for indices of directions counted from its first. `turn`: sine and cosine of the phase of its centre, times its
+    /// weight, of each beam.
+    #[inline(always)]
+    pub(super) fn set(
+        &mut self,
+        g: usize,
+        grid: &Grid,
+        (kernel, mut at): (&[[f32; TERMS]; TAPS / 2], [f32; BEAMS]),
+        turn: impl Fn(usize) -> (f32, f32),
+    ) {
+        let (last, before) = ((grid.count - TAPS) as i32, grid.before as i32);
+        for (at, to) in at.iter_mut().zip(&mut self.first[g]) {
+            let first = (whole_number(*at - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
+            *at = *at - first as f32 - (TAPS / 2) as f32 + 0.5;
+            *to = (before + first) as u32;
+        }
+        for i in 0..BEAMS {
+            (self.sin[g][i], self.cos[g][i]) = turn(i);
+        }
+        for (t, terms) in kernel.iter().enumerate() {
+            for (i, at) in at.iter().enumerate() {
+                let square = at * at;
+                let (mut even, mut odd) = (0.0, 0.0);
+                for pair in terms.chunks_exact(2).rev() {
+                    even = even * square + pair[0];
+                    odd = odd * square + pair[1];
+                }
+                odd *= at;
+                self.w[g][t][i] = even + odd;
+                self.w[g][TAPS - 1 - t][i] = even - odd;
             }
-            odd *= at;
-            w[t][i] = even + odd;
-            w[TAPS - 1 - t][i] = even - odd;
         }
     }
+}
+
+/// Largest change of 1/r from the range of a tile to its ends, for groups of half a length, of which the farthest lies `reach_m` from the axis of a beam.
+pub(super) fn max_curvature_per_m(half_m: f64, reach_m: f64, pulse: &Pulse, c: f64) -> f64 {
+    let wavelength_m = c / pulse.center_frequency_hz;
+    let curvature = std::f64::consts::PI * half_m * half_m / wavelength_m;
+    let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);
+    let envelope = 0.5 * reach_m * reach_m / c * rms_rad_per_s;
+    (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / envelope)
 }
 
 /// Coefficients that interpolate functions of the band with least squares, as polynomials through Chebyshev nodes.

@@ -594,6 +594,20 @@ impl Reverberation {
         )
     }
 
+    /// Beam and sample number `n` of those of a fan of 512 beams that are compared: in a record from range 0, from `min_m` on, the minimum range of the
+    /// focus, where the reference has all its samples.
+    fn probe(&self, n: usize, first_m: f64, min_m: f64) -> (usize, usize) {
+        let near = match first_m == 0.0 {
+            true => min_m * 2.0 / C * self.rate_hz,
+            false => 60.0,
+        };
+        let near = near as usize + 20;
+        (
+            (n * 197) % 512,
+            near + (n * 61) % (self.rig.samples - near - 60),
+        )
+    }
+
     /// One sample of a beam of some elements in f64: every element's exact delay, a sinc of 64 samples.
     fn exact(&self, weights: &[f64], sine: f64, sample: usize, first_s: f64) -> Complex64 {
         let time_s = first_s + sample as f64 / self.rate_hz;
@@ -671,15 +685,7 @@ fn beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range() {
             let parts = [part(0..256), part(0..128), part(128..256)];
             let mut probes = Vec::new();
             for n in 0..120usize {
-                let beam = (n * 197) % 512;
-                // From the minimum range of the focus on, where the reference has all its samples.
-                let near = if first_m == 0.0 {
-                    0.34 * 2.0 / C * rate_hz
-                } else {
-                    60.0
-                } as usize
-                    + 20;
-                let sample = near + (n * 61) % (samples - near - 60);
+                let (beam, sample) = rev.probe(n, first_m, 0.34);
                 let sine = (sector_deg.to_radians() * (beam as f64 / 511.0 - 0.5)).sin();
                 let want = |w: &Vec<f64>| rev.exact(w, sine, sample, plan.first_sample_s);
                 let [whole, a, b] = [&parts[0], &parts[1], &parts[2]].map(want);
@@ -751,7 +757,7 @@ fn beams_of_an_arc_are_within_1_percent_of_the_exact_focus_at_every_range() {
             let mut groups = former.arc_groups.take().expect("fewer products");
             let parts = groups.parts.clone();
             if by_groups {
-                groups.aim(former.steered.arc.as_ref().expect("an arc"), true);
+                groups.aim(former.steered.arc.as_ref().expect("an arc"));
                 former.arc_groups = Some(groups);
             }
             let mut whole = BeamFrame::default();
@@ -761,14 +767,7 @@ fn beams_of_an_arc_are_within_1_percent_of_the_exact_focus_at_every_range() {
             let arc = former.steered.arc.as_ref().expect("an arc");
             let (mut off, mut off_smooth, mut all) = (0.0, 0.0, 0.0);
             for n in 0..120usize {
-                let beam = (n * 197) % 512;
-                let near = if first_m == 0.0 {
-                    0.5 * 2.0 / C * rate_hz
-                } else {
-                    60.0
-                } as usize
-                    + 20;
-                let sample = near + (n * 61) % (samples - near - 60);
+                let (beam, sample) = rev.probe(n, first_m, 0.5);
                 let own = &arc.beams[beam];
                 let mut weights = vec![0.0; 256];
                 for (w, own) in weights[own.elements.clone()]
