@@ -314,7 +314,7 @@ class Moving(unittest.TestCase):
         return rig
 
     def record(self, rig, first=0.0, count=2400, fs=FS):
-        return model.element_record(rig, self.motion, self.array, self.body, fs, first, count)[0]
+        return model.element_record(rig, self.motion, self.array, (self.body, 0.0), fs, first, count)[0]
 
     def test_the_curve_meets_its_knots_and_a_smooth_motion_between_them(self):
         for k, (ns, place, angles) in enumerate(self.nav[20:40]):
@@ -407,6 +407,22 @@ class Moving(unittest.TestCase):
         piston = check.Pattern(2.0, 0.0, True)
         rays = np.array([[0, 0, 1], [0.5, 0, 0.75 ** 0.5], [0, 0, -1]])
         np.testing.assert_allclose(piston.towards(rays, 1.0), [1, 0, 0], atol=1e-15)
+
+    def test_elements_of_an_arc_look_along_their_own_normals(self):
+        array = check.ReceiveArray("arc", 3, 0.2, np.zeros(3), (0.0, 0.0, 0.0), 0, 0.0, check.Pattern(0.02, 0.0, False), radius_m=0.4)
+        turn = math.degrees(0.5)
+        places = check.elements_in_body(array).astype(float)
+        np.testing.assert_allclose(np.linalg.norm(places + (0.0, 0.0, 0.4), axis=1), 0.4, atol=1e-15)
+        self.motion = model.Motion([(k * 20_000_000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for k in range(60)], 503_000_000)
+        ahead = places + 7.0 * np.array([(math.sin(a), 0.0, math.cos(a)) for a in (-0.5, 0.0, 0.5)])
+        for element in range(3):
+            self.assertAlmostEqual(check.normal_deg(array, element), turn * (element - 1), places=12)
+            rig = self.rig([(tuple(ahead[element]), 1.0)])
+
+            def level(angle_deg):
+                return model.Echoes(rig, self.motion, array, (places[element], angle_deg), 0.1).amplitude[0]
+            normal = check.normal_deg(array, element)
+            self.assertAlmostEqual(abs(level(normal + turn) / level(normal)), abs(np.sinc(0.02 * math.sin(0.5) * FC / C)), places=12)
 
     def test_planted_faults_are_found(self):
         right = self.rig([((0.5, 3.0, 12.0), 2.0 - 1.0j), ((0.3, 0.2, -0.4), 0.01)], filtered=True, tukey=0.1)
