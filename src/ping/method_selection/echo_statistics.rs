@@ -526,11 +526,11 @@ pub(super) struct EchoPeaks {
 
 /// The peaks of a ping.
 pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> EchoPeaks {
-    let near = near(spec, plan, scatterers);
+    let near = Near::new(spec, plan, scatterers);
     let mut peaks = EchoPeaks {
         values: [0.0; QUANTITIES],
         nearest_m: f64::INFINITY,
-        has_near: !near.is_empty(),
+        has_near: near.any,
     };
     let heard_m = plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
     let poses = Poses::of(&plan.trajectory);
@@ -546,7 +546,7 @@ pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatter
             let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, of, FEW_INSTANTS);
             let evenly = (looked * stride..scatterers.len()).step_by(outermost * stride);
             looked += 1;
-            for i in evenly.chain(near.iter().copied()) {
+            for i in evenly.chain(near.indices()) {
                 let place_m = scatterers.position_m(i);
                 let sent_m = scatterers.transmit_m(i);
                 let ray = receiver.ray(sent_m, place_m, plan.sound_speed_m_per_s);
@@ -566,35 +566,47 @@ pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatter
 }
 
 /// Scatterers so near that the platform's way during a pulse is no small part of their range.
-fn near(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<usize> {
-    let pose = plan.trajectory.pose_at(0.0);
-    let arms = spec.receive.iter().flat_map(|array| {
-        let transmit = spec.transmit[array.transmit].mounting.position_m;
-        let outermost = array.outermost().map(|e| array.element_body_m(e));
-        outermost.chain([transmit])
-    });
-    let arm_m = arms.map(|arm_m| arm_m.length()).fold(0.0, f64::max);
-    let way_m = pose.velocity_m_per_s.length() * plan.pulse.duration_s;
-    let reach_m = arm_m + NEAR_WAYS * way_m;
-    let at_m = pose.position_m;
-    let is_near = |((&north_m, &east_m), &down_m): ((&f64, &f64), &f64)| {
-        let (x, y, z) = (north_m - at_m.x, east_m - at_m.y, down_m - at_m.z);
-        x * x + y * y + z * z < reach_m * reach_m
-    };
-    let places = || {
-        let level_m = scatterers.north_m.iter().zip(&scatterers.east_m);
-        level_m.zip(&scatterers.down_m)
-    };
-    // Mostly there are none: counting is faster than looking for the first.
-    if places().map(|place| u32::from(is_near(place))).sum::<u32>() == 0 {
-        return Vec::new();
+struct Near<'a> {
+    scatterers: &'a Scatterers,
+    at_m: DVec3,
+    reach_m: f64,
+    any: bool,
+}
+
+impl<'a> Near<'a> {
+    fn new(spec: &SonarSpec, plan: &PingPlan, scatterers: &'a Scatterers) -> Self {
+        let pose = plan.trajectory.pose_at(0.0);
+        let arms = spec.receive.iter().flat_map(|array| {
+            let transmit = spec.transmit[array.transmit].mounting.position_m;
+            let outermost = array.outermost().map(|e| array.element_body_m(e));
+            outermost.chain([transmit])
+        });
+        let arm_m = arms.map(|arm_m| arm_m.length()).fold(0.0, f64::max);
+        let way_m = pose.velocity_m_per_s.length() * plan.pulse.duration_s;
+        let near = Self {
+            scatterers,
+            at_m: pose.position_m,
+            reach_m: arm_m + NEAR_WAYS * way_m,
+            any: false,
+        };
+        // Mostly there are none: counting is faster than looking for the first.
+        let all = (0..scatterers.len()).map(|i| u32::from(near.holds(i)));
+        Self {
+            any: all.sum::<u32>() > 0,
+            ..near
+        }
     }
-    places()
-        .enumerate()
-        .filter(|(_, place)| is_near(*place))
-        .map(|(i, _)| i)
-        .take(FEW_SCATTERERS)
-        .collect()
+
+    fn holds(&self, i: usize) -> bool {
+        let off_m = self.scatterers.position_m(i) - self.at_m;
+        off_m.length_squared() < self.reach_m * self.reach_m
+    }
+
+    /// Some of them.
+    fn indices(&self) -> impl Iterator<Item = usize> {
+        let all = if self.any { self.scatterers.len() } else { 0 };
+        (0..all).filter(|i| self.holds(*i)).take(FEW_SCATTERERS)
+    }
 }
 
 /// So many ways of the platform during a pulse away, a range is expanded about mid-pulse (`echo::stretch`).

@@ -64,6 +64,11 @@ pub struct Motion {
 }
 
 impl Transmit {
+    /// From the transmitter to a point with this lever arm, both at the start of the pulse.
+    pub(crate) fn offset_m(&self, arm_m: DVec3) -> DVec3 {
+        arm_m - self.arm_m
+    }
+
     /// Motion from the plan's first segment, or from the trajectory if the path model follows it.
     pub(crate) fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
         let first = &plan.segments[0];

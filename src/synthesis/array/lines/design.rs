@@ -19,7 +19,9 @@ use echotank_core::simd::{Kind, SimdLevel};
 
 use super::dopplers::{Band, Columns, CurvatureFit, MAX_TAPS};
 use super::kernel::{Content, Kernel};
-use super::nodes::{NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places};
+use super::nodes::{
+    COARSE, NODES, NodeCounts, gain_error, interpolation_errors_m, places, spreading_error,
+};
 use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
 use super::windows::{KernelErrors, MORE, SingleEcho, noise_factor, worst, worst_of_even};
 
@@ -839,19 +841,15 @@ impl Design {
         array: &ArrayGeometry,
         (nearest_m, farthest_m): (f64, f64),
     ) -> Option<Vec<(f64, f64)>> {
-        let of = |counts: &NodeCounts| -> Vec<f64> { places(counts.delays).collect() };
-        let counts = NODES
-            .iter()
-            .find(|counts| self.interpolates(&of(counts), counts.gains, array, nearest_m))?;
-        let (all, few) = (of(counts), coarse(&of(counts)));
+        let counts = self.node_counts(array, nearest_m)?;
         let ratio = (farthest_m / nearest_m).max(1.0);
         let ranges_m = (0..=PING_RANGES)
             .map(|k| nearest_m * ratio.powf(f64::from(k) / f64::from(PING_RANGES)));
         let errors = ranges_m.map(|range_m| {
-            let by_few = self.coarse_error_m(&few, array, range_m);
+            let by_few = self.coarse_error_m(counts, array, range_m);
             let error = match by_few <= self.path_m {
                 true => by_few,
-                false => self.path_error_m(&all, 1.0, counts.gains, array, range_m),
+                false => self.path_error_m(counts, array, range_m),
             };
             (range_m, error)
         });
@@ -866,11 +864,15 @@ impl Design {
 
     /// Nodes along `array` for scatterers at `nearest_m` and beyond; none if no number is enough.
     pub fn nodes(&self, array: &ArrayGeometry, nearest_m: f64) -> Option<usize> {
-        let enough = |counts: &&NodeCounts| {
-            let places: Vec<f64> = places(counts.delays).collect();
-            self.interpolates(&places, counts.gains, array, nearest_m)
-        };
-        NODES.iter().find(enough).map(|counts| counts.delays)
+        self.node_counts(array, nearest_m)
+            .map(|counts| counts.delays)
+    }
+
+    /// The fewest that are enough.
+    fn node_counts(&self, array: &ArrayGeometry, nearest_m: f64) -> Option<NodeCounts> {
+        let enough =
+            |counts: &NodeCounts| self.path_error_m(*counts, array, nearest_m) <= self.path_m;
+        NODES.into_iter().find(enough)
     }
 
     /// Mean number of points along `array` at which delays are solved, for scatterers evenly from the nearest to the farthest range; none if no number is
@@ -880,64 +882,60 @@ impl Design {
         array: &ArrayGeometry,
         (nearest_m, farthest_m): (f64, f64),
     ) -> Option<f64> {
-        let delays = self.nodes(array, nearest_m)?;
-        let coarse = coarse(&places(delays).collect::<Vec<f64>>());
+        let counts = self.node_counts(array, nearest_m)?;
         let is_coarse = |part: &u32| {
             let range_m = nearest_m
                 + (farthest_m - nearest_m) * (f64::from(*part) + 0.5) / f64::from(COARSE_PARTS);
-            self.coarse_error_m(&coarse, array, range_m) <= self.path_m
+            self.coarse_error_m(counts, array, range_m) <= self.path_m
         };
         let distant = (0..COARSE_PARTS).filter(is_coarse).count() as f64;
-        let (all, few) = (delays as f64, coarse.len() as f64);
+        let (all, few) = (counts.delays as f64, COARSE as f64);
         Some(all + (few - all) * distant / f64::from(COARSE_PARTS))
     }
 
-    /// Whether delays at `places` along `array`, and gains at so many of them, are enough at `range_m` and beyond.
-    fn interpolates(
-        &self,
-        places: &[f64],
-        gains: usize,
-        array: &ArrayGeometry,
-        range_m: f64,
-    ) -> bool {
-        self.path_error_m(places, 1.0, gains, array, range_m) <= self.path_m
+    /// Largest error of a path length that is interpolated from so many nodes along `array`, with that of the gains; metres.
+    fn path_error_m(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> f64 {
+        let [along_m, block_m] = self.delay_errors_m(counts, array, range_m);
+        (along_m + block_m).hypot(self.gains_as_path_m(counts.gains, array, range_m))
     }
 
-    /// Largest error of a path length, of which a share is left, with that of the gains.
-    fn path_error_m(
-        &self,
-        places: &[f64],
-        share: f64,
-        gains: usize,
-        array: &ArrayGeometry,
-        range_m: f64,
-    ) -> f64 {
-        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
-        let block_m = (LANES as f64 * array.spacing_m).min(2.0 * half_m);
+    /// The same where delays are solved at the [`coarse`] nodes only, and found at the others from squares of receive legs, which are no polynomials
+    /// along an arc.
+    fn coarse_error_m(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> f64 {
+        if array.radius_m.is_some() {
+            return f64::INFINITY;
+        }
+        let few = NodeCounts {
+            delays: COARSE,
+            gains: COARSE,
+        };
+        let of_few_m = self.coarse_share * self.delay_errors_m(few, array, range_m)[0];
+        let [along_m, block_m] = self.delay_errors_m(counts, array, range_m);
+        (of_few_m + along_m + block_m).hypot(self.gains_as_path_m(few.gains, array, range_m))
+    }
+
+    /// Along the line, and over a block.
+    fn delay_errors_m(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> [f64; 2] {
+        let places: Vec<f64> = places(counts.delays).collect();
+        let (half_m, block_m) = extents_m(array);
+        interpolation_errors_m(&places, (half_m, array.radius_m), block_m, range_m)
+    }
+
+    fn gains_as_path_m(&self, gains: usize, array: &ArrayGeometry, range_m: f64) -> f64 {
+        let (half_m, block_m) = extents_m(array);
         let element_m = match array.element_pattern {
             Pattern::Rectangle { length_m, .. } => length_m,
             Pattern::Omnidirectional | Pattern::Part { .. } => 0.0,
         };
         let of = [element_m, self.wavelength_m];
-        let line = (half_m, array.radius_m);
-        let gain_error = gain_error(gains, of, line, block_m, range_m);
-        let as_path_m = gain_error * self.wavelength_m / TAU;
-        let [along_m, block_m] = interpolation_errors_m(places, line, block_m, range_m);
-        let path_m = share * along_m + block_m;
-        path_m.hypot(as_path_m)
-    }
-
-    /// The same where delays are solved at [`coarse`] nodes only. The squares of receive legs are no polynomials along an arc.
-    fn coarse_error_m(&self, few: &[f64], array: &ArrayGeometry, range_m: f64) -> f64 {
-        match array.radius_m {
-            None => self.path_error_m(few, self.coarse_share, 3, array, range_m),
-            Some(_) => f64::INFINITY,
-        }
+        let gain_error = gain_error(gains, of, (half_m, array.radius_m), block_m, range_m)
+            + spreading_error(gains, half_m, block_m, range_m);
+        gain_error * self.wavelength_m / TAU
     }
 
     /// Range from which on the error is small enough along `array`, metres; infinite if it never is.
     fn enough_from_m(&self, array: &ArrayGeometry, error_m: impl Fn(f64) -> f64) -> f64 {
-        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+        let (half_m, _) = extents_m(array);
         let fits = |range_m: &f64| error_m(*range_m) <= self.path_m;
         let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
         ranges_m.take_while(fits).last().unwrap_or(f64::INFINITY)
@@ -946,21 +944,22 @@ impl Design {
     /// Range from which on each of [`NODES`] is enough along `array`, metres; infinite if none is.
     pub(super) fn near_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
         NODES.map(|counts| {
-            let places: Vec<f64> = places(counts.delays).collect();
-            self.enough_from_m(array, |range_m| {
-                self.path_error_m(&places, 1.0, counts.gains, array, range_m)
-            })
+            self.enough_from_m(array, |range_m| self.path_error_m(counts, array, range_m))
         })
     }
 
     /// The same of the [`coarse`] ones among them, between which the squares of receive legs are interpolated.
     pub(super) fn coarse_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
         NODES.map(|counts| {
-            let places: Vec<f64> = places(counts.delays).collect();
-            let few = coarse(&places);
-            self.enough_from_m(array, |range_m| self.coarse_error_m(&few, array, range_m))
+            self.enough_from_m(array, |range_m| self.coarse_error_m(counts, array, range_m))
         })
     }
+}
+
+/// Half of the line, and a block of elements; metres.
+fn extents_m(array: &ArrayGeometry) -> (f64, f64) {
+    let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+    (half_m, (LANES as f64 * array.spacing_m).min(2.0 * half_m))
 }
 
 /// Doppler shift of the fastest echoes, Hz.

@@ -335,8 +335,16 @@ impl GriddedLines {
     /// The echoes at the nodes, batch by batch.
     fn solve(&mut self, plan: &PingPlan, transmit_leg: &TransmitLeg) -> EchoCounts {
         let (half_m, spacing_m) = (self.half_m(), self.array.spacing_m);
-        let nearest_m = NodeTracks::nearest_m(transmit_leg);
         let near_m = self.near_m;
+        let finite = near_m
+            .iter()
+            .chain(&self.coarse_m)
+            .filter(|m| m.is_finite());
+        let enough_m = finite.copied().fold(0.0, f64::max);
+        let nearest_m = self
+            .state
+            .tracks
+            .measure(plan, &self.array, transmit_leg, enough_m);
         let enough = (0..NODES.len()).find(|&k| nearest_m >= near_m[k]);
         let selected = enough.unwrap_or(NODES.len() - 1);
         let NodeCounts {

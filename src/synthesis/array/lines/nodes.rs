@@ -180,10 +180,36 @@ pub(super) fn gain_error(
     1.1 * (of_line + of_block)
 }
 
-/// The first, the middle and the last of some nodes, which are enough for echoes from farther away.
-pub(super) fn coarse(nodes: &[f64]) -> [f64; 3] {
-    [nodes[0], nodes[nodes.len() / 2], nodes[nodes.len() - 1]]
+/// Relative error of the spreading along the receive leg, interpolated and fitted as in [`gain_error`]: largest over all directions and elements.
+///
+/// With the sine s of the direction and e = y/r, 1/sqrt(1 - 2 e s + e^2) is the sum of e^n P_n(s) with Legendre polynomials, which are at most 1.
+pub(super) fn spreading_error(gain_nodes: usize, half_m: f64, block_m: f64, range_m: f64) -> f64 {
+    let line = half_m / range_m;
+    if line >= 1.0 {
+        return f64::INFINITY;
+    }
+    // Largest product of the distances from the nodes.
+    let of_line = match gain_nodes {
+        3 => 0.385 * line.powi(3),
+        5 => 0.09 * line.powi(5),
+        _ => line.powi(9) / 256.0,
+    };
+    // A cubic about the middle of the outermost block, which may be nearer.
+    let nearest_m = range_m - f64::max(half_m - 0.5 * block_m, 0.0);
+    let block = 0.5 * block_m / nearest_m;
+    let of_block = match gain_nodes {
+        3 => 0.0,
+        _ if block >= 1.0 => f64::INFINITY,
+        _ => range_m / nearest_m * block.powi(4) / 8.0 / (1.0 - block),
+    };
+    of_line / (1.0 - line) + of_block
 }
+
+/// The first, the middle and the last node: enough for echoes from farther away, with squares of receive legs between them.
+pub(super) const COARSE: usize = 3;
+
+/// Places along the line, in half lines, at which interpolation is examined.
+const EXAMINED: usize = 17;
 
 /// Largest errors of a path length for points at `range_m` in all directions, metres: interpolated from nodes at `places` over a line or arc of `half_m`
 /// to either side, and cubic over blocks of `block_m`.
@@ -194,6 +220,9 @@ pub(super) fn interpolation_errors_m(
     range_m: f64,
 ) -> [f64; 2] {
     let mut worst: f64 = 0.0;
+    let examined: [f64; EXAMINED] =
+        std::array::from_fn(|k| 2.0 * k as f64 / (EXAMINED - 1) as f64 - 1.0);
+    let weights = examined.map(|x| lagrange(places, x));
     // Directions on one side of the boresight: all of a line's; those behind an arc, too.
     let angles = if radius_m.is_some() { 12 } else { 6 };
     for angle in 0..=angles {
@@ -212,10 +241,8 @@ pub(super) fn interpolation_errors_m(
             (range_m * range_m + square_m2).max(0.0).sqrt()
         };
         let at: Vec<f64> = places.iter().map(|place| path(place * half_m)).collect();
-        for k in 0..=16 {
-            let x = f64::from(k) / 8.0 - 1.0;
-            let value = lagrange(places, x);
-            let sum: f64 = value.iter().zip(&at).map(|(a, b)| a * b).sum();
+        for (x, weights) in examined.iter().zip(&weights) {
+            let sum: f64 = weights.iter().zip(&at).map(|(a, b)| a * b).sum();
             worst = worst.max((sum - path(x * half_m)).abs());
         }
     }
@@ -312,6 +339,51 @@ mod tests {
                 let predicted = gain_error(counts.gains, of, (half_m, None), block_m, range_m);
                 println!("{counts:?}, {range_m} m: {measured:.2e}, {predicted:.2e} predicted");
                 assert!(measured < predicted && measured > 0.3 * predicted);
+            }
+        }
+    }
+
+    #[test]
+    fn spreading_has_the_errors_that_are_predicted() {
+        let (half_m, block_m) = (0.5, LANES as f64 * 0.025);
+        for counts in NODES {
+            let nodes: Vec<f64> = places(counts.delays).collect();
+            for range_m in [1.2, 2.5, 6.0] {
+                let mut measured = 0.0f64;
+                for step in 0..=24 {
+                    let sine = libm::sin(f64::from(step) / 24.0 * PI - 0.5 * PI);
+                    let spread = |y: f64| {
+                        let e = y / range_m;
+                        1.0 / (1.0 - 2.0 * e * sine + e * e).sqrt()
+                    };
+                    let gains: Vec<f64> = (0..counts.gains)
+                        .map(|k| nodes[gain_node(k, counts.gains, counts.delays)])
+                        .collect();
+                    for block in 0..2 {
+                        let middle = (block * LANES) as f64 + 7.5 - 15.5;
+                        let per_element = 0.5 * block_m / half_m / (0.5 * LANES as f64);
+                        let x = middle * per_element;
+                        let weights = block_weights(&nodes, counts.gains, LANES, x, per_element);
+                        for lane in 0..LANES {
+                            let place = lane as f64 - 7.5;
+                            let sum = weights.gain.iter().rev().fold(0.0, |sum, terms| {
+                                let parts = terms.iter().zip(&gains);
+                                let term = parts.map(|(w, at)| f64::from(*w) * spread(at * half_m));
+                                sum * place + term.sum::<f64>()
+                            });
+                            let along_m = (x + place * per_element) * half_m;
+                            measured = measured.max((sum - spread(along_m)).abs());
+                        }
+                    }
+                }
+                let predicted = spreading_error(counts.gains, half_m, block_m, range_m);
+                println!("{counts:?}, {range_m} m: {measured:.2e}, {predicted:.2e} predicted");
+                // Weights are rounded to f32.
+                assert!(measured < predicted + 3e-7, "{measured:e} {predicted:e}");
+                assert!(
+                    predicted < 10.0 * measured + 3e-7,
+                    "{measured:e} {predicted:e}"
+                );
             }
         }
     }

@@ -8,6 +8,7 @@ use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::widest;
+use glam::DVec3;
 
 use super::{
     Complex64, ElementTrack, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, expand_mid_pulse,
@@ -27,8 +28,10 @@ pub struct NodeTracks {
     shares: [[f64; MAX_GAIN_NODES]; MAX_NODES],
     /// Interpolation weights of the first, the middle and the last node at every node.
     coarse_shares: [[f64; 3]; MAX_NODES],
-    /// Legs of scatterers that are computed at these three nodes only are as long or longer, metres.
+    /// Batches that are computed at these three nodes only are as far away or farther, metres.
     coarse_from_m: f64,
+    /// Distances of the batches, as [`Self::measure`] finds them, metres.
+    nearest_m: Vec<f64>,
     nodes: usize,
     gain_nodes: usize,
 }
@@ -90,9 +93,9 @@ impl NodeTracks {
     }
 
     /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`]. `gain_nodes` is
-    /// three, five where five or nine points are given, or nine of nine. Batches of scatterers from `coarse_from_m` on are computed at the first, the middle and the last
-    /// node, and interpolated at the others: stretches, gains, and the squares of receive legs. On a line at rest these squares are quadratic exactly;
-    /// motion leaves about v/c of the error that delays would have.
+    /// three, five where five or nine points are given, or nine of nine. Batches of scatterers that [`Self::measure`] found at `coarse_from_m` or beyond are
+    /// computed at the first, the middle and the last node, and interpolated at the others: stretches, gains, and the squares of receive legs. On a line at
+    /// rest these squares are quadratic exactly; motion leaves about v/c of the error that delays would have.
     pub fn compute(
         &mut self,
         plan: &PingPlan,
@@ -143,11 +146,44 @@ impl NodeTracks {
         transmit_leg.batch_range_m.len()
     }
 
-    /// Smallest range from the transmitter to a scatterer, metres; infinite without scatterers.
-    pub fn nearest_m(transmit_leg: &TransmitLeg) -> f64 {
-        let nearest_m = transmit_leg.batch_range_m.iter().map(|range_m| range_m.0);
-        let receive_m = transmit_leg.nearest_receive_m.unwrap_or(f64::INFINITY);
-        nearest_m.fold(receive_m, f64::min)
+    /// Distance of the nearest scatterer from the transmitter or from the line between the ends of `array`, at the start of the pulse, metres. Less than
+    /// the distance only beyond `enough_m`.
+    pub fn measure(
+        &mut self,
+        plan: &PingPlan,
+        array: &ArrayGeometry,
+        transmit_leg: &TransmitLeg,
+        enough_m: f64,
+    ) -> f64 {
+        let world_from_body = plan.segments[0].world_from_body;
+        let ends_m = [0, array.elements - 1].map(|element| {
+            let arm_m = world_from_body * array.element_body_m(element);
+            transmit_leg.transmit.offset_m(arm_m)
+        });
+        let arm_m = ends_m[0].length().max(ends_m[1].length());
+        let line_m = ends_m[1] - ends_m[0];
+        let per_m2 = 1.0 / line_m.length_squared().max(f64::MIN_POSITIVE);
+        // An arc is this far off its chord, at most.
+        let bulge_m = -array.element_m(0).z;
+        self.nearest_m.clear();
+        self.nearest_m
+            .extend((0..Self::batches(transmit_leg)).map(|b| {
+                let sent_m = transmit_leg.batch_range_m[b].0;
+                let least_m = sent_m - arm_m - bulge_m;
+                if least_m >= enough_m && !transmit_leg.has_images() {
+                    return least_m;
+                }
+                let (_, batch) = transmit_leg.batch(b);
+                let places = batch.x_m.iter().zip(batch.y_m).zip(batch.z_m);
+                let squares = places.map(|((&x_m, &y_m), &z_m)| {
+                    let from_end_m = DVec3::new(x_m, y_m, z_m) - ends_m[0];
+                    let along = (from_end_m.dot(line_m) * per_m2).clamp(0.0, 1.0);
+                    (from_end_m - line_m * along).length_squared()
+                });
+                let received_m = squares.fold(f64::INFINITY, f64::min).sqrt() - bulge_m;
+                sent_m.min(received_m.max(0.0))
+            }));
+        self.nearest_m.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
     /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`.
@@ -174,8 +210,7 @@ impl NodeTracks {
         let middle = self.nodes / 2;
         // Time from the leading edge to the arrival of mid-pulse, at the gain nodes.
         let mut after_s = [[0.0; CHUNK]; MAX_GAIN_NODES];
-        let receive_m = transmit_leg.nearest_receive_m.unwrap_or(f64::INFINITY);
-        let is_coarse = transmit_leg.batch_range_m[b].0.min(receive_m) >= self.coarse_from_m;
+        let is_coarse = self.nearest_m[b] >= self.coarse_from_m;
         let step = if is_coarse { middle } else { 1 };
         for (node, track) in self.tracks[..self.nodes].iter().enumerate().step_by(step) {
             let odd = solve(track, c, batch, rays);

@@ -224,6 +224,37 @@ fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
     assert_eq!(design.nodes(&scene.rx, 5.0), None);
 }
 
+/// Nodes are chosen by the distance from the array, which may lie far from the transmitter.
+#[test]
+fn scatterers_near_the_array_and_far_from_the_transmitter_keep_the_tolerance() {
+    let drawn = Draw {
+        velocity_m_per_s: DVec3::new(1.0, 0.3, 0.3),
+        ..SCENE
+    };
+    let mut scene = short(drawn, 0.4e-3, 0.0);
+    // Its echo arrives long before the others.
+    let earlier_s = 0.5 * scene.plan.first_sample_s;
+    scene.plan.first_sample_s -= earlier_s;
+    scene.plan.sample_count += (earlier_s * RATE_HZ) as usize;
+    scene.rx.mounting.position_m = scene.scatterers.position_m(0) - DVec3::new(0.3, 0.0, 0.3);
+    let tolerance = 2e-3;
+    let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
+    let (leg, _) = scene.transmit_leg();
+    let count = scene.plan.sample_count;
+    let mut iq = vec![Complex64::ONE; scene.rx.elements * count];
+    let counts = engine.synthesise(&scene.plan, &leg, &mut iq);
+    assert_eq!(counts.beyond_engine, 0);
+    for element in [0, 9, 39] {
+        let error = worst(
+            &iq[element * count..][..count],
+            &truth(&scene, element, false),
+            0.4e-3,
+        );
+        println!("element {element}: {error:.1e}");
+        assert!(error <= tolerance, "element {element}: {error:e}");
+    }
+}
+
 /// The errors of a single moving echo: in its worst window, and rms over its places on the grid, which differ from element to element.
 #[test]
 fn a_single_echo_has_its_predicted_errors() {
@@ -477,6 +508,7 @@ fn squares_of_receive_legs_are_quadratic_along_the_line_but_for_motion() {
         let from_m = |coarse_from_m: f64| {
             let mut tracks = NodeTracks::default();
             let (plan, rx) = (&scene.plan, &scene.rx);
+            tracks.measure(plan, rx, &leg, f64::INFINITY);
             tracks.compute(plan, rx, &leg, &along_m, gains, coarse_from_m);
             tracks
         };
