@@ -184,11 +184,16 @@ impl ArrayGeometry {
             .flatten()
     }
 
-    /// Response in array axes that no element exceeds: the elements of an arc look in many directions.
+    /// Response in array axes that no element exceeds: the elements of an arc look in many directions of its plane, and all have the same width across it.
     pub fn envelope_pattern(&self) -> Pattern {
-        match self.radius_m {
-            None => self.element_pattern,
-            Some(_) => Pattern::Omnidirectional,
+        match (self.radius_m, self.element_pattern) {
+            (None, pattern) => pattern,
+            (Some(_), Pattern::Rectangle { width_m, .. }) => Pattern::Rectangle {
+                length_m: 0.0,
+                width_m,
+                baffled: false,
+            },
+            (Some(_), _) => Pattern::Omnidirectional,
         }
     }
 }

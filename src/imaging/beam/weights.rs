@@ -50,8 +50,13 @@ impl Taper {
             Self::Uniform => 1.0,
             Self::RaisedCosine(a) => a + (1.0 - a) * (TAU * x).cos(),
             Self::Taylor(terms) => {
-                let sum = |(m, f): (usize, &f64)| f * (TAU * (m + 1) as f64 * x).cos();
-                1.0 + 2.0 * terms.iter().enumerate().map(sum).sum::<f64>()
+                // Clenshaw's recurrence: one cosine for all terms, of which the last are zero.
+                let twice = 2.0 * (TAU * x).cos();
+                let (mut next, mut after) = (0.0, 0.0);
+                for f in terms.iter().rev().skip_while(|f| **f == 0.0) {
+                    (next, after) = (f + twice * next - after, next);
+                }
+                1.0 + twice * next - 2.0 * after
             }
             Self::Kaiser(beta) => {
                 bessel_i0(beta * (1.0 - 4.0 * x * x).max(0.0).sqrt()) / bessel_i0(*beta)

@@ -29,6 +29,8 @@ pub(super) struct ArcGroups {
     /// Centres, along the array's axis and along the boresight, metres.
     pub(super) place_m: [[f32; 2]; MAX_GROUPS],
     normal_rad: [f64; MAX_GROUPS],
+    /// Sine and cosine of these angles.
+    normal: [[f64; 2]; MAX_GROUPS],
     /// Half the length of the longest group.
     half_m: f64,
     /// Half the angle between the normals of the outermost elements that a beam uses, with a group.
@@ -63,19 +65,22 @@ impl ArcGroups {
         if arc.aperture_rad() * radius_m < GROUPS_OF_APERTURE * longest as f64 * array.spacing_m {
             return None;
         }
-        let (mut place_m, mut normal_rad) = ([[0.0; 2]; MAX_GROUPS], [0.0; MAX_GROUPS]);
+        let mut place_m = [[0.0; 2]; MAX_GROUPS];
+        let (mut normal_rad, mut normal) = ([0.0; MAX_GROUPS], [[0.0; 2]; MAX_GROUPS]);
         for (g, part) in parts.iter().enumerate() {
             let middle = 0.5 * (part.start + part.end - 1) as f64;
             let along_m = array.spacing_m * (middle - 0.5 * (array.elements - 1) as f64);
             let (at_m, _) = array.place(along_m);
             place_m[g] = [at_m.x as f32, at_m.z as f32];
             normal_rad[g] = along_m / radius_m;
+            normal[g] = normal_rad[g].sin_cos().into();
         }
         let half_m = 0.5 * array.spacing_m * (longest - 1).max(1) as f64;
         let mut groups = Self {
             parts,
             place_m,
             normal_rad,
+            normal,
             half_m,
             half_aperture_rad: 0.5 * arc.aperture_rad() + half_m / radius_m,
             reach_m: 0.0,
@@ -195,8 +200,10 @@ impl ArcGroups {
 
     /// Unit vector of direction `j` of group `g`, along the array's axis and along the boresight.
     pub(super) fn toward(&self, g: usize, grid: &Grid, j: usize) -> [f64; 2] {
-        let angle_rad = self.normal_rad[g] + grid.sine(j).clamp(-1.0, 1.0).asin();
-        [angle_rad.sin(), angle_rad.cos()]
+        let [sin, cos] = self.normal[g];
+        let v = grid.sine(j).clamp(-1.0, 1.0);
+        let w = (1.0 - v * v).max(0.0).sqrt();
+        [sin * w + cos * v, cos * w - sin * v]
     }
 
     /// Largest change of 1/r from the range of a tile to its ends.
@@ -222,8 +229,7 @@ impl Grouping for ArcGroups {
             let grid = &directions.of_group[g];
             let (first, per_step) = (grid.first as f32, (1.0 / grid.step) as f32);
             let [x, z] = self.place_m[g];
-            let (sin, cos) = self.normal_rad[g].sin_cos();
-            let (sin, cos) = (sin as f32, cos as f32);
+            let [sin, cos] = self.normal[g].map(|part| part as f32);
             for i in 0..BEAMS {
                 let focus = foci.at(i);
                 // Cosine of the angle between the normal and the direction: also the tangent times the direction's own.
@@ -254,16 +260,15 @@ impl Grouping for ArcGroups {
         for g in self.groups(batch) {
             let grid = &directions.of_group[g];
             let place = self.place_m[g];
-            let (sin, cos) = self.normal_rad[g].sin_cos();
-            let tangent = [cos as f32, -sin as f32];
+            let [sin, cos] = self.normal[g].map(|part| part as f32);
+            let tangent = [cos, -sin];
             let mut at = seen.at[g];
             let mut late_m = [0.0f32; BEAMS];
             match steering.is_focused() {
                 true => {
                     for i in 0..BEAMS {
-                        let focus = foci.at(i);
-                        late_m[i] = focus.late_m_of(mach, place);
-                        let (_, slope, _) = focus.leg_of(place, tangent);
+                        let (late, slope) = foci.at(i).late_m_of(mach, place, tangent);
+                        late_m[i] = late;
                         at[i] += (seen.slope[g][i] - slope) * seen.per_slope[g][i];
                     }
                 }

@@ -57,14 +57,23 @@ impl Focus {
         (late_m, slope)
     }
 
-    /// The same for an element with places along the line and along the boresight.
+    /// The same for an element with places along the line and along the boresight, and the slope along a tangent there.
     #[inline(always)]
-    pub(super) fn late_m_of(&self, [vx, vz]: [f32; 2], [x, z]: [f32; 2]) -> f32 {
+    pub(super) fn late_m_of(
+        &self,
+        [vx, vz]: [f32; 2],
+        [x, z]: [f32; 2],
+        tangent: [f32; 2],
+    ) -> (f32, f32) {
         let [dx, dz] = self.d_m;
         let difference_m2 = x * (x - 2.0 * dx) + z * (z - 2.0 * dz);
         let q2 = self.range_m * self.range_m + difference_m2;
         let q = q2.max(1e-12).sqrt();
-        difference_m2 / (q + self.range_m) / (1.0 + ((dx - x) * vx + (dz - z) * vz) / q)
+        let per_q = 1.0 / q;
+        let [wx, wz] = [x - dx, z - dz];
+        let opening = 1.0 - (wx * vx + wz * vz) * per_q;
+        let late_m = difference_m2 / ((q + self.range_m) * opening);
+        (late_m, (wx * tangent[0] + wz * tangent[1]) * per_q)
     }
 
     /// Distance to such a place, the slope of the delay along a tangent there (a sine), and the way from the focus to the place.
@@ -204,7 +213,7 @@ impl Steering {
     #[inline(always)]
     pub(super) fn late_m_of(&self, f: &Focus, place_m: [f32; 2]) -> f32 {
         match self.is_focused() {
-            true => f.late_m_of(self.mach(), place_m),
+            true => f.late_m_of(self.mach(), place_m, [0.0; 2]).0,
             false => f.far_late_m_of(place_m),
         }
     }
@@ -248,7 +257,8 @@ impl Steering {
         let mut late_m = [0.0f32; BLOCK];
         let elements = late_m[..n].iter_mut().zip(x_m).zip(z_m);
         match self.is_focused() {
-            true => elements.for_each(|((late_m, x), z)| *late_m = f.late_m_of(mach, [*x, *z])),
+            true => elements
+                .for_each(|((late_m, x), z)| *late_m = f.late_m_of(mach, [*x, *z], [0.0; 2]).0),
             false => elements.for_each(|((late_m, x), z)| *late_m = f.far_late_m_of([*x, *z])),
         }
         self.taps((&late_m[..n], w), reference_m, interpolation, layout, taps);
