@@ -23,8 +23,9 @@ const AT_REST_M_PER_S: f64 = 1e-7;
 const ROUNDED: f64 = 1.5;
 /// Sums of an echo at a sample, at most: a tenth of a second. With more, windows are bounded by chance.
 const MAX_EFFORT: usize = 50_000_000;
-/// Elements of an array with the deepest fades that are looked at, besides its ends.
+/// Elements of an array with the deepest fades that are looked at, besides its ends: at least so many, and more while echoes have fewer samples than this.
 const DEEPEST: usize = 4;
+const LOOKED_AT: usize = 500_000;
 /// Logarithm of the number of windows that fade about as deep as the deepest: so many chances the errors in them have to add up.
 const LOOKS: f64 = 3.0;
 /// For elements that are not looked at, and places on the grid between those that are.
@@ -125,7 +126,8 @@ impl RestingPing {
                 let levels = window_levels(&samples, window);
                 all.push(RestingElement { echoes, levels });
             }
-            arrays.push(looked_at(all));
+            let of_element = (scatterers.len() * profile.effort()).max(1);
+            arrays.push(looked_at(all, DEEPEST.max(LOOKED_AT / of_element)));
         }
         let independent = fades::independent_of_pulse(&plan.pulse, window as f64 / rate_hz);
         Some(Self {
@@ -164,7 +166,7 @@ impl RestingPing {
 }
 
 /// The ends of an array, and its elements with the deepest fades below the mean of all.
-fn looked_at(mut all: Vec<RestingElement>) -> Vec<RestingElement> {
+fn looked_at(mut all: Vec<RestingElement>, deepest: usize) -> Vec<RestingElement> {
     let count = all.len();
     let windows = all.first().map_or(0, |element| element.levels.len());
     let mut mean = vec![0.0; windows];
@@ -184,7 +186,7 @@ fn looked_at(mut all: Vec<RestingElement>) -> Vec<RestingElement> {
         .zip(0..)
         .collect();
     depths.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let deepest = depths.iter().take(DEEPEST).map(|(_, element)| *element);
+    let deepest = depths.iter().take(deepest).map(|(_, element)| *element);
     let mut kept: Vec<usize> = deepest.chain([0, count.saturating_sub(1)]).collect();
     kept.sort_unstable();
     kept.dedup();
