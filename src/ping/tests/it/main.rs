@@ -4,6 +4,7 @@ mod culling;
 mod density;
 mod engines;
 mod error_check;
+mod fan_truth;
 mod instrument;
 mod moving;
 mod multipath;
