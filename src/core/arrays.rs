@@ -198,6 +198,42 @@ impl ArrayGeometry {
     }
 }
 
+/// The straight line between the ends of an array, as bound of its elements.
+pub struct ArrayLine {
+    first_m: DVec3,
+    line_m: DVec3,
+    per_m2: f64,
+    /// An arc is this far off its chord, at most.
+    bulge_m: f64,
+}
+
+impl ArrayLine {
+    /// `at_m`: from body axes to the axes of the line.
+    pub fn new(array: &ArrayGeometry, at_m: impl Fn(DVec3) -> DVec3) -> Self {
+        let [first_m, last_m] = [0, array.elements - 1].map(|e| at_m(array.element_body_m(e)));
+        let line_m = last_m - first_m;
+        Self {
+            first_m,
+            line_m,
+            per_m2: 1.0 / line_m.length_squared().max(f64::MIN_POSITIVE),
+            bulge_m: -array.element_m(0).z,
+        }
+    }
+
+    /// Distance from which no element is nearer.
+    pub fn distance_m(&self, place_m: DVec3) -> f64 {
+        let from_first_m = place_m - self.first_m;
+        let along = (from_first_m.dot(self.line_m) * self.per_m2).clamp(0.0, 1.0);
+        ((from_first_m - self.line_m * along).length() - self.bulge_m).max(0.0)
+    }
+
+    /// No element is farther from the origin of the axes.
+    pub fn reach_m(&self) -> f64 {
+        let last_m = self.first_m + self.line_m;
+        self.first_m.length().max(last_m.length()) + self.bulge_m
+    }
+}
+
 /// Low-pass filter of the receiver before sampling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReceiverFilter {

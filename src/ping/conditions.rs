@@ -5,6 +5,7 @@ use glam::DVec3;
 use crate::element_synthesis::filter_design;
 use crate::method_selection::echo_statistics::echo_statistics;
 use echotank_config::spec::SonarSpec;
+use echotank_core::arrays::ArrayLine;
 use echotank_core::model::Synthesis;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::Scatterers;
@@ -74,14 +75,9 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         }
     }
     for array in &spec.receive {
-        let [first, last] = [0, array.elements - 1].map(|e| pose.point_m(array.element_body_m(e)));
-        let line = last - first;
-        let square = line.length_squared().max(f64::MIN_POSITIVE);
-        // An arc is this far off its chord, at most.
-        let bulge_m = -array.element_m(0).z;
-        for from_first in places.clone().map(|place| place_m(place) - first) {
-            let along = (from_first.dot(line) / square).clamp(0.0, 1.0);
-            nearest_m = nearest_m.min(((from_first - line * along).length() - bulge_m).max(0.0));
+        let line = ArrayLine::new(array, |body_m| pose.point_m(body_m));
+        for place in places.clone() {
+            nearest_m = nearest_m.min(line.distance_m(place_m(place)));
         }
     }
     // What lies beyond the window is not heard; what is nearer than a wavelength is no far field of anything.

@@ -23,8 +23,9 @@ const AT_REST_M_PER_S: f64 = 1e-7;
 const ROUNDED: f64 = 1.5;
 /// Sums of an echo at a sample, at most: a tenth of a second. With more, windows are bounded by chance.
 const MAX_EFFORT: usize = 50_000_000;
-/// Elements of an array with the deepest fades that are looked at, besides its ends: at least so many, and more while echoes have fewer samples than this.
+/// Elements of an array with the deepest fades that are looked at, besides its ends, at least.
 const DEEPEST: usize = 4;
+/// More are looked at while their echoes have no more samples than this, all together.
 const LOOKED_AT: usize = 500_000;
 /// Logarithm of the number of windows that fade about as deep as the deepest: so many chances the errors in them have to add up.
 const LOOKS: f64 = 3.0;

@@ -20,7 +20,7 @@ use echotank_core::simd::{Kind, SimdLevel};
 use super::dopplers::{Band, Columns, CurvatureFit, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{
-    COARSE, NODES, NodeCounts, gain_error, interpolation_errors_m, places, spreading_error,
+    COARSE, NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places, spreading_error,
 };
 use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
 use super::windows::{KernelErrors, MORE, SingleEcho, noise_factor, worst, worst_of_even};
@@ -895,7 +895,8 @@ impl Design {
 
     /// Largest error of a path length that is interpolated from so many nodes along `array`, with that of the gains; metres.
     fn path_error_m(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> f64 {
-        let [along_m, block_m] = self.delay_errors_m(counts, array, range_m);
+        let places: Vec<f64> = places(counts.delays).collect();
+        let [along_m, block_m] = delay_errors_m(&places, array, range_m);
         (along_m + block_m).hypot(self.gains_as_path_m(counts.gains, array, range_m))
     }
 
@@ -905,22 +906,14 @@ impl Design {
         if array.radius_m.is_some() {
             return f64::INFINITY;
         }
-        let few = NodeCounts {
-            delays: COARSE,
-            gains: COARSE,
-        };
-        let of_few_m = self.coarse_share * self.delay_errors_m(few, array, range_m)[0];
-        let [along_m, block_m] = self.delay_errors_m(counts, array, range_m);
-        (of_few_m + along_m + block_m).hypot(self.gains_as_path_m(few.gains, array, range_m))
+        let all: Vec<f64> = places(counts.delays).collect();
+        let [of_few_m, _] = delay_errors_m(&coarse(&all), array, range_m);
+        let [along_m, block_m] = delay_errors_m(&all, array, range_m);
+        let path_m = self.coarse_share * of_few_m + along_m + block_m;
+        path_m.hypot(self.gains_as_path_m(COARSE, array, range_m))
     }
 
-    /// Along the line, and over a block.
-    fn delay_errors_m(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> [f64; 2] {
-        let places: Vec<f64> = places(counts.delays).collect();
-        let (half_m, block_m) = extents_m(array);
-        interpolation_errors_m(&places, (half_m, array.radius_m), block_m, range_m)
-    }
-
+    /// The error of gains, as a path whose phase errs as much.
     fn gains_as_path_m(&self, gains: usize, array: &ArrayGeometry, range_m: f64) -> f64 {
         let (half_m, block_m) = extents_m(array);
         let element_m = match array.element_pattern {
@@ -954,6 +947,12 @@ impl Design {
             self.enough_from_m(array, |range_m| self.coarse_error_m(counts, array, range_m))
         })
     }
+}
+
+/// Of delays at `places`, as paths: along the line, and over a block.
+fn delay_errors_m(places: &[f64], array: &ArrayGeometry, range_m: f64) -> [f64; 2] {
+    let (half_m, block_m) = extents_m(array);
+    interpolation_errors_m(places, (half_m, array.radius_m), block_m, range_m)
 }
 
 /// Half of the line, and a block of elements; metres.

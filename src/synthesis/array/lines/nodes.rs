@@ -182,7 +182,8 @@ pub(super) fn gain_error(
 
 /// Relative error of the spreading along the receive leg, interpolated and fitted as in [`gain_error`]: largest over all directions and elements.
 ///
-/// With the sine s of the direction and e = y/r, 1/sqrt(1 - 2 e s + e^2) is the sum of e^n P_n(s) with Legendre polynomials, which are at most 1.
+/// With the sine s of the direction and e = y/r, 1/sqrt(1 - 2 e s + e^2) is the sum of e^n P_n(s) with Legendre polynomials (their generating function),
+/// which are at most 1.
 pub(super) fn spreading_error(gain_nodes: usize, half_m: f64, block_m: f64, range_m: f64) -> f64 {
     let line = half_m / range_m;
     if line >= 1.0 {
@@ -205,7 +206,11 @@ pub(super) fn spreading_error(gain_nodes: usize, half_m: f64, block_m: f64, rang
     of_line / (1.0 - line) + of_block
 }
 
-/// The first, the middle and the last node: enough for echoes from farther away, with squares of receive legs between them.
+/// The first, the middle and the last of some nodes: enough for echoes from farther away, with squares of receive legs between them.
+pub(super) fn coarse(nodes: &[f64]) -> [f64; COARSE] {
+    [nodes[0], nodes[nodes.len() / 2], nodes[nodes.len() - 1]]
+}
+
 pub(super) const COARSE: usize = 3;
 
 /// Places along the line, in half lines, at which interpolation is examined.

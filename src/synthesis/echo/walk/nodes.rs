@@ -4,7 +4,7 @@
 //! Stretch and gain are computed at three, five or all nine of them, the first and the last included.
 
 use crate::arrivals::CHUNK;
-use echotank_core::arrays::ArrayGeometry;
+use echotank_core::arrays::{ArrayGeometry, ArrayLine};
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::widest;
@@ -147,7 +147,7 @@ impl NodeTracks {
     }
 
     /// Distance of the nearest scatterer from the transmitter or from the line between the ends of `array`, at the start of the pulse, metres. Less than
-    /// the distance only beyond `enough_m`.
+    /// the distance only beyond `enough_m`. [`Self::batch`] needs the distances of its ping.
     pub fn measure(
         &mut self,
         plan: &PingPlan,
@@ -156,32 +156,23 @@ impl NodeTracks {
         enough_m: f64,
     ) -> f64 {
         let world_from_body = plan.segments[0].world_from_body;
-        let ends_m = [0, array.elements - 1].map(|element| {
-            let arm_m = world_from_body * array.element_body_m(element);
-            transmit_leg.transmit.offset_m(arm_m)
+        let line = ArrayLine::new(array, |body_m| {
+            transmit_leg.transmit.offset_m(world_from_body * body_m)
         });
-        let arm_m = ends_m[0].length().max(ends_m[1].length());
-        let line_m = ends_m[1] - ends_m[0];
-        let per_m2 = 1.0 / line_m.length_squared().max(f64::MIN_POSITIVE);
-        // An arc is this far off its chord, at most.
-        let bulge_m = -array.element_m(0).z;
+        let reach_m = line.reach_m();
         self.nearest_m.clear();
         self.nearest_m
             .extend((0..Self::batches(transmit_leg)).map(|b| {
                 let sent_m = transmit_leg.batch_range_m[b].0;
-                let least_m = sent_m - arm_m - bulge_m;
+                let least_m = sent_m - reach_m;
                 if least_m >= enough_m && !transmit_leg.has_images() {
                     return least_m;
                 }
                 let (_, batch) = transmit_leg.batch(b);
                 let places = batch.x_m.iter().zip(batch.y_m).zip(batch.z_m);
-                let squares = places.map(|((&x_m, &y_m), &z_m)| {
-                    let from_end_m = DVec3::new(x_m, y_m, z_m) - ends_m[0];
-                    let along = (from_end_m.dot(line_m) * per_m2).clamp(0.0, 1.0);
-                    (from_end_m - line_m * along).length_squared()
-                });
-                let received_m = squares.fold(f64::INFINITY, f64::min).sqrt() - bulge_m;
-                sent_m.min(received_m.max(0.0))
+                let distances_m =
+                    places.map(|((&x_m, &y_m), &z_m)| line.distance_m(DVec3::new(x_m, y_m, z_m)));
+                distances_m.fold(sent_m, f64::min)
             }));
         self.nearest_m.iter().copied().fold(f64::INFINITY, f64::min)
     }
