@@ -1491,7 +1491,7 @@ pub struct FanForm {
     pub roll_stabilised: bool,
     /// Ratio of range to used array length with `dynamic-focus`; `None` uses the whole array.
     pub f_number: Option<f64>,
-    /// Maximum carrier phase error at the ends of a focal zone with `dynamic-focus`, radians.
+    /// Maximum carrier phase error of the focus with `dynamic-focus`, radians.
     pub focus_error_rad: f64,
     /// Of an arc: angle between the normals of the outermost elements that a beam uses, radians.
     pub aperture_rad: f64,

@@ -385,7 +385,7 @@ table! {
     /// Dynamic aperture: range / f_number, at most the whole array. Default: the whole array. Only with former = "dynamic-focus".
     f_number: Number(above(0.0, 10_000.0)), Optional("50.0"), only with former = "dynamic-focus";
 
-    /// Maximum carrier phase error at the ends of a focal zone. Only with former = "dynamic-focus".
+    /// Maximum carrier phase error at the ends of a focal zone. In fans of many elements and beams the focus moves from sample to sample wherever it would be exceeded. Only with former = "dynamic-focus".
     focus_error_deg: Degrees(from(0.1, 90.0)), Default("5.0"), only with former = "dynamic-focus";
 }
 

@@ -16,7 +16,8 @@
 //!   Q = |q|, D = |S - v t|. Q - D is computed as x_e (x_e - 2 d_x)/(Q + D), which is well conditioned in f32.
 //!   A focus applies to a zone of ranges r in which its carrier-phase error is at most `focus_error_rad` at the outermost element. The
 //!   error is (pi/lambda) a^2 |1/r - 1/r_zone|, where a is half the aperture in use. With `f_number` = F the aperture in use is r/F, limited
-//!   to the whole line. The focus stays at 1.5 a for nearer samples, most of which are received during the pulse.
+//!   to the whole line. The focus stays at 1.5 a for nearer samples, most of which are received during the pulse. Sums by groups follow the focus
+//!   from sample to sample, in spans instead of zones, see [`groups`].
 //!
 //! Rows are matched-filtered and summed in f32. Delays use rows at a few fractions of a sample, see [`interpolation`]. Their error affects the
 //! envelope only, because carrier phases use the exact delay. A line of many elements with many beams is summed by [`groups`] of elements,
@@ -56,7 +57,7 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
 use echotank_core::simd::SimdLevel;
-use groups::{BEAMS, Directions, Grid, Grouping, Groups, Mix, Seen};
+use groups::{BEAMS, Directions, Grid, Grouping, Groups, Mix, Seen, Sweep};
 use interpolation::{Interpolation, MAX_FRACTIONS, TAPS, band_hz, convolve};
 use second_sum::{CHUNK, sum_directions};
 use steering::{Foci, Focus, GridLayout, MIN_DISTANCE_M, Steering};
@@ -122,11 +123,23 @@ struct Tile {
     time_s: Option<f64>,
 }
 
+/// Samples of a tile of groups with the same coefficients. Counted from the first of the tile.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    first: usize,
+    end: usize,
+    /// Two-way time of the focus.
+    time_s: f64,
+    /// Of the first and the last sample, if the focus moves from one to the other; `time_s` then is their middle.
+    ends_s: Option<[f64; 2]>,
+}
+
 struct Worker {
     /// Rows of [`BLOCK`] elements at all fractions: real parts, imaginary parts.
     grid: Vec<f32>,
     /// Sums of each group in each direction: real parts, imaginary parts of a tile.
     directions: Vec<f32>,
+    spans: Vec<Span>,
     /// Sums of a tile element by element, for each section of each beam.
     tile: Vec<[Sums; MAX_SECTIONS]>,
     /// Focus of each direction of a group, or of each beam.
@@ -227,6 +240,7 @@ impl DelaySumFormer {
                 .map(|_| Worker {
                     grid: vec![0.0; grid_room],
                     directions: vec![0.0; room],
+                    spans: Vec::with_capacity(MAX_SAMPLES),
                     tile: (0..fan.beams).map(|_| [Sums::ZERO; MAX_SECTIONS]).collect(),
                     focus: vec![Focus::default(); fan.beams.max(capacity)],
                     beams: Box::new(BeamBatch {
@@ -248,7 +262,7 @@ impl DelaySumFormer {
         former
     }
 
-    /// Products of complex numbers of a ping with so many samples, and groups (or elements) of all beams for each focal zone.
+    /// Products of complex numbers of a ping with so many samples, and groups of all beams for each span (or elements for each focal zone).
     pub(super) fn work(
         array: &ArrayGeometry,
         fan: &FanSpec,
@@ -274,17 +288,32 @@ impl DelaySumFormer {
             let of = (arc, fan.form.bottom_detection);
             ArcGroups::new(array, of, sector, (pulse, rate_hz, c), rows)
         });
-        let (sums, parts) = match (&groups, &arc_groups, &arc) {
-            (Some(groups), ..) => (
-                groups.products((sector, fan.beams), (pulse, c), rows),
-                groups.parts.len(),
-            ),
-            (None, Some(groups), _) => (
-                groups.products(sector, (pulse, c), rows),
-                groups.parts.len(),
-            ),
-            (.., Some(arc)) => ((arc.terms() * rows) as f64, arc.terms() / fan.beams.max(1)),
-            (.., None) => ((array.elements * fan.beams * rows) as f64, array.elements),
+        // With groups, spans have the coefficients that zones have without.
+        let (sums, parts, span) = match (&groups, &arc_groups, &arc) {
+            (Some(groups), ..) => {
+                let directions = groups.directions(sector, pulse, band_hz(pulse), c);
+                (
+                    groups.products((sector, fan.beams), (pulse, c), rows),
+                    groups.parts.len(),
+                    Some(groups.span_curvature_per_m(&directions)),
+                )
+            }
+            (None, Some(groups), _) => {
+                let directions = groups.directions(sector, pulse, band_hz(pulse), c);
+                (
+                    groups.products(sector, (pulse, c), rows),
+                    groups.parts.len(),
+                    Some(groups.span_curvature_per_m(&directions)),
+                )
+            }
+            (.., Some(arc)) => {
+                let of_beam = arc.terms() / fan.beams.max(1);
+                ((arc.terms() * rows) as f64, of_beam, None)
+            }
+            (.., None) => {
+                let products = array.elements * fan.beams * rows;
+                (products as f64, array.elements, None)
+            }
         };
         // A real coefficient has half of the products of a complex one.
         let between =
@@ -296,9 +325,10 @@ impl DelaySumFormer {
                     None => 0.5 * array.spacing_m * array.elements as f64,
                 };
                 let wavelength_m = c / pulse.center_frequency_hz;
-                let focus_error_rad = fan.form.focus_error_rad;
-                let curvature = focus_error_rad * wavelength_m / (PI * half_m * half_m);
+                let of_zone = curvature_of(fan.form.focus_error_rad, wavelength_m, half_m);
+                let curvature = span.map_or(of_zone, |of_span| of_span.max(of_zone));
                 zones(curvature, MIN_FOCUS * half_m, samples, 0.5 * c / rate_hz)
+                    + span.map_or(0.0, |_| (samples / MAX_SAMPLES) as f64)
             }
             _ => 1.0,
         };
@@ -401,8 +431,7 @@ impl DelaySumFormer {
                 continue;
             }
             // Permitted change of 1/r from a zone's middle to its ends.
-            let curvature =
-                self.focus_error_rad * self.steered.wavelength_m() / (PI * half_m * half_m);
+            let curvature = curvature_of(self.focus_error_rad, self.steered.wavelength_m(), half_m);
             let far = 1.0 / near_m - 2.0 * curvature;
             // An aperture that grows with range is adapted in steps of 5 %.
             let max_m = match self.uses_whole_line(near_m) {
@@ -478,6 +507,12 @@ impl DelaySumFormer {
         let c = self.steered.sound_speed_m_per_s;
         let is_focused = self.former == Former::DynamicFocus;
         let min_focus_m = MIN_FOCUS * self.half_aperture_m(f64::INFINITY);
+        let pulse = self.steered.correlator.pulse();
+        let curvature = match (&self.directions, &self.groups, &self.arc_groups) {
+            (Some(_), Some(groups), _) => Some(groups.max_curvature_per_m(pulse, c)),
+            (Some(_), None, Some(groups)) => Some(groups.max_curvature_per_m(pulse, c)),
+            _ => None,
+        };
         let mut first = 0;
         while first < samples {
             let mut tile = Tile {
@@ -485,13 +520,7 @@ impl DelaySumFormer {
                 end: (first + MAX_SAMPLES).min(samples),
                 time_s: None,
             };
-            let pulse = self.steered.correlator.pulse();
-            let curvature = match (&self.groups, &self.arc_groups) {
-                (Some(groups), _) => Some(groups.max_curvature_per_m(pulse, c)),
-                (None, Some(groups)) => Some(groups.max_curvature_per_m(pulse, c)),
-                (None, None) => None,
-            };
-            if let Some(curvature) = curvature.filter(|_| self.directions.is_some()) {
+            if let Some(curvature) = curvature {
                 let near_m = self.range_m(first, first_sample_s);
                 let (far_m, serve) = if !is_focused {
                     (f64::INFINITY, true)
@@ -510,6 +539,56 @@ impl DelaySumFormer {
             }
             first = tile.end;
             self.tiles.push(tile);
+        }
+    }
+
+    /// Divides a tile of groups into spans.
+    fn make_spans(&self, tile: &Tile, first_sample_s: f64, spans: &mut Vec<Span>) {
+        spans.clear();
+        let samples = tile.end - tile.first;
+        let time_s = |k: usize| {
+            let c = self.steered.sound_speed_m_per_s;
+            2.0 * self.range_m(tile.first + k, first_sample_s) / c
+        };
+        let curvature = match (&self.directions, &self.groups, &self.arc_groups) {
+            (Some(of), Some(groups), _) => groups.span_curvature_per_m(of),
+            (Some(of), None, Some(groups)) => groups.span_curvature_per_m(of),
+            _ => f64::INFINITY,
+        };
+        let half_m = self.half_aperture_m(f64::INFINITY);
+        // Change of 1/r with the permitted error of the focus.
+        let still_per_m = curvature_of(self.focus_error_rad, self.steered.wavelength_m(), half_m);
+        let mut first = 0;
+        while first < samples {
+            let near_m = self.range_m(tile.first + first, first_sample_s);
+            let far = match self.former {
+                Former::DynamicFocus => 1.0 / near_m - 2.0 * curvature.max(still_per_m),
+                _ => 0.0,
+            };
+            let end = match far > 0.0 {
+                true => self.end_of_range(1.0 / far, first_sample_s) as usize,
+                false => tile.end,
+            };
+            let mut end = end.clamp(tile.first + first + 1, tile.end) - tile.first;
+            // Whole vectors, except for the last.
+            let whole = end / STEP * STEP;
+            if end < samples && whole > first {
+                end = whole;
+            }
+            let ends_s = [first, end - 1].map(time_s);
+            let far_m = self.range_m(tile.first + end - 1, first_sample_s);
+            let change = 0.5 * (1.0 / near_m - 1.0 / far_m);
+            let moves = self.former == Former::DynamicFocus && change > still_per_m;
+            spans.push(Span {
+                first,
+                end,
+                time_s: match moves {
+                    true => 0.5 * (ends_s[0] + ends_s[1]),
+                    false => 2.0 / (1.0 / ends_s[0] + 1.0 / ends_s[1]),
+                },
+                ends_s: moves.then_some(ends_s),
+            });
+            first = end;
         }
     }
 
@@ -580,9 +659,11 @@ impl DelaySumFormer {
                         &this.steered.arc,
                     ) {
                         (Some(time_s), Some(groups), ..) => {
+                            this.make_spans(tile, plan.first_sample_s, &mut worker.spans);
                             this.sum_groups(groups, &steering, (tile, time_s), worker, &out);
                         }
                         (Some(time_s), None, Some(groups), _) => {
+                            this.make_spans(tile, plan.first_sample_s, &mut worker.spans);
                             this.sum_arc_groups(groups, &steering, (tile, time_s), worker, &out);
                         }
                         (.., Some(arc)) => this.sum_arc(arc, &steering, tile, worker, &out),
@@ -769,6 +850,11 @@ impl DelaySumFormer {
                 let to_sum = (&self.x_m[part.clone()], &weights[part]);
                 steering.steer(focus, to_sum, late_m, &self.interpolation, layout, taps);
             },
+            #[inline(always)]
+            |g, grid, j, time_s| {
+                let focus = &steering.focus(grid.sine(j), time_s);
+                steering.late_m(focus, groups.x_m[g]) * steering.cycles_per_m()
+            },
         );
         // SAFETY: the caller guarantees that the samples are this tile's alone.
         unsafe { self.mix_tile(groups, steering, (tile, time_s), worker, out) };
@@ -800,6 +886,11 @@ impl DelaySumFormer {
                 let to_sum = (places, &even[..part.len()]);
                 steering.steer_arc(focus, to_sum, late_m, &self.interpolation, layout, taps);
             },
+            #[inline(always)]
+            |g, grid, j, time_s| {
+                let focus = &steering.focus_towards(groups.toward(g, grid, j), time_s);
+                steering.late_m_of(focus, groups.place_m[g]) * steering.cycles_per_m()
+            },
         );
         // SAFETY: the caller guarantees that the samples are this tile's alone.
         unsafe { self.mix_tile(groups, steering, (tile, time_s), worker, out) };
@@ -813,12 +904,14 @@ impl DelaySumFormer {
         }
     }
 
-    /// The first sums of a tile: each group in its directions. `steer` gives the rows and weights of a group in one of them.
+    /// The first sums of a tile: each group in its directions. `steer` gives the rows and weights of a group in one of them, `turns` the phase of its
+    /// centre with the focus of a two-way time, in cycles.
     fn sum_directions_of(
         &self,
         (parts, tile): (&[Range<usize>], &Tile),
         worker: &mut Worker,
         steer: impl Fn(usize, &Grid, usize, &mut Taps),
+        turns: impl Fn(usize, &Grid, usize, f64) -> f32,
     ) {
         let Some(directions) = &self.directions else {
             unreachable!("tiles without groups have no focus of groups");
@@ -827,10 +920,12 @@ impl DelaySumFormer {
         let row = grid_row(self.margin);
         let chunk_rows = 2 * CHUNK * directions.count;
         let mut taps = [Taps::NONE; FOCI];
+        let mut sweeps = [Sweep::default(); FOCI];
         for ((g, part), grid) in parts.iter().enumerate().zip(&directions.of_group) {
             self.interpolate(tile, part.clone(), &mut worker.grid);
             for first in (0..grid.count).step_by(FOCI) {
-                let taps = &mut taps[..FOCI.min(grid.count - first)];
+                let count = FOCI.min(grid.count - first);
+                let taps = &mut taps[..count];
                 self.simd_level.run(
                     #[inline(always)]
                     || {
@@ -839,15 +934,44 @@ impl DelaySumFormer {
                         }
                     },
                 );
-                let chunks = worker.directions.chunks_mut(chunk_rows);
-                for (from, rows) in (0..samples).step_by(CHUNK).zip(chunks) {
-                    let rows = &mut rows[2 * CHUNK * (grid.before + first)..];
+                let rows = &mut worker.directions[2 * CHUNK * (grid.before + first)..];
+                for (from, rows) in (0..samples).step_by(CHUNK).zip(rows.chunks_mut(chunk_rows)) {
                     for (taps, row_of) in taps.iter().zip(rows.chunks_exact_mut(2 * CHUNK)) {
                         row_of.fill(0.0);
                         let (re, im) = row_of.split_at_mut(CHUNK);
                         let samples = CHUNK.min(samples - from);
                         let sums = [&mut re[..samples], &mut im[..samples]];
                         add_rows(self.simd_level, &worker.grid[from..], row, taps, sums);
+                    }
+                }
+                for span in &worker.spans {
+                    let Some([first_s, last_s]) = span.ends_s else {
+                        continue;
+                    };
+                    self.simd_level.run(
+                        #[inline(always)]
+                        || {
+                            for (j, sweep) in sweeps[..count].iter_mut().enumerate() {
+                                let of = [first_s, span.time_s, last_s]
+                                    .map(|time_s| turns(g, grid, first + j, time_s));
+                                *sweep = Sweep::through(of);
+                            }
+                        },
+                    );
+                    for part in span.parts() {
+                        let rows = &mut rows[part.chunk * chunk_rows..];
+                        let of_each = sweeps[..count].iter().zip(rows.chunks_exact_mut(2 * CHUNK));
+                        self.simd_level.run(
+                            #[inline(always)]
+                            || {
+                                let mut places = [0.0; CHUNK];
+                                let places = span.places(&part, &mut places);
+                                for (sweep, row_of) in of_each {
+                                    let (re, im) = row_of.split_at_mut(CHUNK);
+                                    sweep.turn(places, [re, im].map(|x| &mut x[part.origin..]));
+                                }
+                            },
+                        );
                     }
                 }
             }
@@ -882,38 +1006,42 @@ impl DelaySumFormer {
                     groups.see(batch, directions, foci, seen);
                 },
             );
-            for (_, zone) in self.zones_of(tile) {
+            for span in &worker.spans {
+                // The radius grows by about half of the path.
+                let farther_m = span
+                    .ends_s
+                    .map(|ends_s| (0.25 * steering.c * (ends_s[1] - ends_s[0])) as f32);
                 self.simd_level.run(
                     #[inline(always)]
                     || {
-                        steering.focus_all(sines, zone.time_s, foci);
-                        groups.mix(steering, (batch, directions), seen, foci, mix);
+                        steering.focus_all(sines, span.time_s, foci);
+                        let of = (&*foci, farther_m);
+                        groups.mix(steering, (batch, directions), seen, of, mix);
                     },
                 );
-                let (mut first, end) = (zone.first.max(tile.first), zone.end.min(tile.end));
-                while first < end {
-                    let (chunk, origin) =
-                        ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
-                    let rows = &worker.directions[chunk * chunk_rows..];
-                    let samples = (CHUNK - origin).min(end - first);
-                    let (of, at) = ((&*mix, beams), (origin, samples));
+                for part in span.parts() {
+                    let rows = &worker.directions[part.chunk * chunk_rows..];
+                    let mut places = [0.0; CHUNK];
+                    span.places(&part, &mut places);
+                    let places = span.ends_s.map(|_| &places);
+                    let samples = part.samples;
                     sum_directions(
                         self.simd_level,
                         rows,
-                        of,
+                        (&*mix, beams),
                         sections,
-                        at,
+                        (part.origin, samples, places),
                         #[inline(always)]
                         |i, totals| {
                             let sums = totals
                                 .each_ref()
                                 .map(|parts| parts.each_ref().map(|part| &part[..samples]));
                             let sums = &sums[..sections.len()];
+                            let first = tile.first + part.chunk * CHUNK + part.origin;
                             // SAFETY: the caller guarantees that the samples are this tile's alone.
                             unsafe { finish(batch * BEAMS + i, first, sums, out) };
                         },
                     );
-                    first += samples;
                 }
             }
         }
@@ -944,6 +1072,46 @@ impl DelaySumFormer {
             }
         }
     }
+}
+
+/// Samples of a span in one chunk of its tile.
+struct SpanPart {
+    chunk: usize,
+    /// First sample in the chunk.
+    origin: usize,
+    samples: usize,
+}
+
+impl Span {
+    fn parts(&self) -> impl Iterator<Item = SpanPart> + use<> {
+        let Self { mut first, end, .. } = *self;
+        std::iter::from_fn(move || {
+            let origin = first % CHUNK;
+            let part = SpanPart {
+                chunk: first / CHUNK,
+                origin,
+                samples: (CHUNK - origin).min(end.saturating_sub(first)),
+            };
+            first += part.samples;
+            (part.samples > 0).then_some(part)
+        })
+    }
+
+    /// Places of the samples of a part: -1 for the first of the span, 1 for the last.
+    #[inline(always)]
+    fn places<'a>(&self, part: &SpanPart, to: &'a mut [f32; CHUNK]) -> &'a [f32] {
+        let half = 0.5 * (self.end - self.first - 1).max(1) as f32;
+        let before = part.chunk * CHUNK + part.origin - self.first;
+        for (k, place) in to.iter_mut().enumerate() {
+            *place = (before + k) as f32 / half - 1.0;
+        }
+        &to[..part.samples]
+    }
+}
+
+/// Change of 1/r that makes an error of the phase at the ends of an aperture of half a length.
+fn curvature_of(focus_error_rad: f64, wavelength_m: f64, half_m: f64) -> f64 {
+    focus_error_rad * wavelength_m / (PI * half_m * half_m)
 }
 
 /// About how many focal zones there are from `near_m` on over `samples` of `step_m`, of which a zone has one at least. Within a zone 1/r changes by

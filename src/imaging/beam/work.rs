@@ -17,7 +17,7 @@ pub struct BeamWork {
     pub transforms: f64,
     /// Products of a complex sample and a complex weight.
     pub products: f64,
-    /// Groups of elements of all beams, for each focal zone: each has its own coefficients.
+    /// Groups of elements of all beams, for each focal zone or span: each has its own coefficients.
     pub zones: f64,
     /// Samples of beams written.
     pub samples: f64,

@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::arc::ArcApertures;
 use super::groups::{
-    ADVANTAGE, BEAMS, Directions, Grid, Grouping, MAX_GROUPS, Mix, Seen, TAPS, TERMS, kernel,
+    ADVANTAGE, BEAMS, Directions, Grid, Grouping, Kernel, MAX_GROUPS, Mix, Seen, TAPS, kernel,
     max_curvature_per_m,
 };
 use super::interpolation::band_hz;
@@ -39,7 +39,7 @@ pub(super) struct ArcGroups {
     reach_m: f64,
     /// Room for directions.
     pub(super) capacity: usize,
-    kernel: [[f32; TERMS]; TAPS / 2],
+    kernel: Kernel,
     /// Of each group in every beam.
     weights: Vec<[f32; MAX_GROUPS]>,
     /// Groups of each section of [`BEAMS`] beams; the second is not used without halves.
@@ -212,6 +212,11 @@ impl ArcGroups {
         max_curvature_per_m(self.half_m, 5f64.powf(0.25) * self.reach_m, pulse, c)
     }
 
+    /// The same of a span.
+    pub(super) fn span_curvature_per_m(&self, directions: &Directions) -> f64 {
+        directions.max_shift() / self.reach_m
+    }
+
     fn groups(&self, batch: usize) -> Range<usize> {
         let [a, b] = &self.sections[batch];
         a.start..b.end
@@ -252,7 +257,7 @@ impl Grouping for ArcGroups {
         steering: &Steering,
         (batch, directions): (usize, &Directions),
         seen: &Seen,
-        foci: &Foci,
+        (foci, farther_m): (&Foci, Option<f32>),
         mix: &mut Mix,
     ) {
         let mach = steering.mach();
@@ -264,12 +269,17 @@ impl Grouping for ArcGroups {
             let tangent = [cos, -sin];
             let mut at = seen.at[g];
             let mut late_m = [0.0f32; BEAMS];
+            let mut shift = [0.0f32; BEAMS];
+            let by_m = farther_m.unwrap_or(0.0);
             match steering.is_focused() {
                 true => {
                     for i in 0..BEAMS {
-                        let (late, slope) = foci.at(i).late_m_of(mach, place, tangent);
+                        let focus = foci.at(i);
+                        let (late, slope, per_q) = focus.late_m_of(mach, place, tangent);
                         late_m[i] = late;
                         at[i] += (seen.slope[g][i] - slope) * seen.per_slope[g][i];
+                        let per_radius = focus.slope_per_radius(place, tangent, (slope, per_q));
+                        shift[i] = -by_m * per_radius * seen.per_slope[g][i];
                     }
                 }
                 false => {
@@ -278,7 +288,8 @@ impl Grouping for ArcGroups {
                     }
                 }
             }
-            mix.set(g, grid, (&self.kernel, at), |i| {
+            let shift = farther_m.map(|_| &shift);
+            mix.set(g, grid, (&self.kernel, at, shift), |i| {
                 let weight = beams.get(i).map_or(0.0, |weights| weights[g]);
                 let (sin, cos) = turn(late_m[i] * steering.cycles_per_m());
                 (weight * sin, weight * cos)

@@ -2,14 +2,19 @@
 //!
 //! A group is too short to resolve neighbouring beams. Its sum therefore varies slowly with the direction, and few directions determine all:
 //! the first sum forms each group's beams in equal steps of the sine, focused on one range of a tile with the exact delays of its elements;
-//! the second sums, for each beam of the fan and each zone of ranges, [`TAPS`] directions of every group.
+//! the second sums, for each beam of the fan, [`TAPS`] directions of every group.
 //!
 //! As a function of the sine u, the sum of a group about x_g is exp(j 2pi f_c x_g u/c) times a function with frequencies up to
 //! nu = (f_c h + X B/2)/c cycles, where h is the group's half-length, X the distance of its far end, and B the bandwidth. Directions lie
 //! 1/(3.6 nu) apart, so that the function is oversampled by 1.8. Least-squares coefficients for that band interpolate it with an rms error of
-//! 4e-3 at most, a sixth of the power that an error of 1e-2 has. The exact phase of the group's centre belongs to the second sum. Between the range of the tile and that of a zone, the
-//! direction in which a group sees the point in focus changes; the second sum takes the direction of equal slope. What remains is the change
-//! of the curvature within a group and of the envelope's delay, which [`Groups::max_curvature_per_m`] limits.
+//! 4e-3 at most, a sixth of the power that an error of 1e-2 has. The exact phase of the group's centre belongs to the second sum.
+//!
+//!
+//! Between the range of the tile and that of a sample, the direction in which a group sees the point in focus changes; the second sum takes the
+//! direction of equal slope. What remains is the change of the curvature within a group and of the envelope's delay, which the length of a tile
+//! limits. The focus follows the range in spans of a tile. The delay of a group's centre changes in a span: every direction's samples are turned by that
+//! phase ([`Sweep`]), which varies slowly with the direction. The direction of equal slope changes too, and with it the coefficients, linearly in
+//! time. A span within which phases change by less than the permitted error of the focus keeps the focus of its middle.
 
 use std::ops::Range;
 
@@ -29,13 +34,15 @@ pub(super) const BEAMS: usize = 16;
 /// Directions for each half cycle of the fastest variation of a group.
 const OVERSAMPLING: f64 = 1.8;
 /// Number of coefficients of the polynomials of the interpolation kernel: even.
-pub(super) const TERMS: usize = 6;
+const TERMS: usize = 6;
 /// Directions beyond those of the outermost beams, for the change of direction within a tile.
 const REACH: usize = 1;
 /// Phase error at the ends of a group by the change of its curvature within a tile.
 const MAX_CURVATURE_RAD: f64 = 0.05;
 /// Phase error of the outermost group at the rms frequency of the envelope within a tile.
 const MAX_ENVELOPE_RAD: f64 = 0.08;
+/// Change of the index of a direction from the middle of a span to its ends: the coefficients are linear in it.
+const MAX_SHIFT: f64 = 0.2;
 /// The dense sum has fewer steps for each product.
 pub(super) const ADVANTAGE: f64 = 1.3;
 
@@ -47,13 +54,13 @@ pub(super) trait Grouping {
     /// Beams of a batch, focused on the range of the tile.
     fn see(&self, batch: usize, directions: &Directions, foci: &Foci, seen: &mut Seen);
 
-    /// Coefficients of the beams of a batch, focused on a zone.
+    /// Coefficients of the beams of a batch with the focus of a span, whose radius changes by so much from the middle to the last sample if it moves.
     fn mix(
         &self,
         steering: &Steering,
         of: (usize, &Directions),
         seen: &Seen,
-        foci: &Foci,
+        foci: (&Foci, Option<f32>),
         mix: &mut Mix,
     );
 }
@@ -71,10 +78,11 @@ pub(super) struct Groups {
     line_half_m: f64,
     /// Room for directions.
     pub(super) capacity: usize,
-    /// Coefficients of the first half of the taps: polynomials of the position between the two middle directions, from -1/2 to 1/2. The others
-    /// mirror them.
-    kernel: [[f32; TERMS]; TAPS / 2],
+    kernel: Kernel,
 }
+
+/// Coefficients of the first half of the taps: polynomials of the position between the two middle directions, from -1/2 to 1/2. The others mirror them.
+pub(super) type Kernel = [[f32; TERMS]; TAPS / 2];
 
 /// Directions of every group in one ping.
 #[derive(Clone, Copy, Debug)]
@@ -114,6 +122,12 @@ impl Directions {
         }
         directions
     }
+
+    /// Largest change of a slope from the middle of a span to its ends.
+    pub(super) fn max_shift(&self) -> f64 {
+        let grids = self.of_group.iter().filter(|grid| grid.count > 0);
+        MAX_SHIFT * grids.map(|grid| grid.step).fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// Directions of one group, in equal steps of the sine.
@@ -149,12 +163,42 @@ impl Seen {
     };
 }
 
-/// Coefficients of the second sums of [`BEAMS`] beams in one zone. A group contributes the sum of [`TAPS`] directions times `w`, turned by
+/// Phase of the centre of a group in one of its directions beyond that of the focus of a span, in cycles: a parabola of the place in the span, from
+/// -1 at the first sample to 1 at the last.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sweep {
+    linear: f32,
+    square: f32,
+}
+
+impl Sweep {
+    /// Through the phases at the first, the middle and the last sample, cycles.
+    #[inline(always)]
+    pub(super) fn through([first, middle, last]: [f32; 3]) -> Self {
+        Self {
+            linear: 0.5 * (last - first),
+            square: 0.5 * (last + first) - middle,
+        }
+    }
+
+    /// Turns samples at these places.
+    #[inline(always)]
+    pub(super) fn turn(&self, places: &[f32], [re, im]: [&mut [f32]; 2]) {
+        for ((place, re), im) in places.iter().zip(re).zip(im) {
+            let (sin, cos) = turn(place * (self.linear + place * self.square));
+            (*re, *im) = (cos * *re - sin * *im, sin * *re + cos * *im);
+        }
+    }
+}
+
+/// Coefficients of the second sums of [`BEAMS`] beams in one span. A group contributes the sum of [`TAPS`] directions times `w`, turned by
 /// the phase of its centre.
 pub(super) struct Mix {
     /// First direction.
     pub(super) first: [[u32; BEAMS]; MAX_GROUPS],
     pub(super) w: [[[f32; BEAMS]; TAPS]; MAX_GROUPS],
+    /// What is added to `w` at the last sample and taken from it at the first. Not set where the focus does not move.
+    pub(super) change: [[[f32; BEAMS]; TAPS]; MAX_GROUPS],
     pub(super) cos: [[f32; BEAMS]; MAX_GROUPS],
     pub(super) sin: [[f32; BEAMS]; MAX_GROUPS],
 }
@@ -163,6 +207,7 @@ impl Mix {
     pub(super) const NONE: Self = Self {
         first: [[0; BEAMS]; MAX_GROUPS],
         w: [[[0.0; BEAMS]; TAPS]; MAX_GROUPS],
+        change: [[[0.0; BEAMS]; TAPS]; MAX_GROUPS],
         cos: [[0.0; BEAMS]; MAX_GROUPS],
         sin: [[0.0; BEAMS]; MAX_GROUPS],
     };
@@ -258,6 +303,11 @@ impl Groups {
     pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
         max_curvature_per_m(self.half_m, self.line_half_m, pulse, c)
     }
+
+    /// The same of a span.
+    pub(super) fn span_curvature_per_m(&self, directions: &Directions) -> f64 {
+        directions.max_shift() / self.line_half_m
+    }
 }
 
 impl Grouping for Groups {
@@ -288,7 +338,7 @@ impl Grouping for Groups {
         steering: &Steering,
         (_, directions): (usize, &Directions),
         seen: &Seen,
-        foci: &Foci,
+        (foci, farther_m): (&Foci, Option<f32>),
         mix: &mut Mix,
     ) {
         let mach = steering.mach();
@@ -296,13 +346,19 @@ impl Grouping for Groups {
             let x = self.x_m[g];
             let mut at = seen.at[g];
             let mut late_m = [0.0f32; BEAMS];
+            let mut shift = [0.0f32; BEAMS];
+            let by_m = farther_m.unwrap_or(0.0);
             // Loops without branches or divisions of f64, so that they vectorise.
             match steering.is_focused() {
                 true => {
                     for i in 0..BEAMS {
-                        let (late, slope) = foci.at(i).late_m(mach, x);
+                        let focus = foci.at(i);
+                        let (late, slope, per_q) = focus.late_m(mach, x);
                         late_m[i] = late;
                         at[i] += (seen.slope[g][i] - slope) * seen.per_slope[g][i];
+                        let per_radius =
+                            focus.slope_per_radius([x, 0.0], [1.0, 0.0], (slope, per_q));
+                        shift[i] = -by_m * per_radius * seen.per_slope[g][i];
                     }
                 }
                 false => {
@@ -311,7 +367,8 @@ impl Grouping for Groups {
                     }
                 }
             }
-            mix.set(g, grid, (&self.kernel, at), |i| {
+            let shift = farther_m.map(|_| &shift);
+            mix.set(g, grid, (&self.kernel, at, shift), |i| {
                 turn(late_m[i] * steering.cycles_per_m())
             });
         }
@@ -319,14 +376,14 @@ impl Grouping for Groups {
 }
 
 impl Mix {
-    /// Sets the coefficients of group `g`, for indices of directions counted from its first. `turn`: sine and cosine of the phase of its centre, times its
-    /// weight, of each beam.
+    /// Sets the coefficients of group `g`, for indices of directions counted from its first, and their change to the end of the span. `turn`: sine
+    /// and cosine of the phase of its centre, times its weight, of each beam.
     #[inline(always)]
     pub(super) fn set(
         &mut self,
         g: usize,
         grid: &Grid,
-        (kernel, mut at): (&[[f32; TERMS]; TAPS / 2], [f32; BEAMS]),
+        (kernel, mut at, shift): (&Kernel, [f32; BEAMS], Option<&[f32; BEAMS]>),
         turn: impl Fn(usize) -> (f32, f32),
     ) {
         let (last, before) = ((grid.count - TAPS) as i32, grid.before as i32);
@@ -338,18 +395,43 @@ impl Mix {
         for i in 0..BEAMS {
             (self.sin[g][i], self.cos[g][i]) = turn(i);
         }
-        for (t, terms) in kernel.iter().enumerate() {
-            for (i, at) in at.iter().enumerate() {
-                let square = at * at;
-                let (mut even, mut odd) = (0.0, 0.0);
-                for pair in terms.chunks_exact(2).rev() {
-                    even = even * square + pair[0];
-                    odd = odd * square + pair[1];
+        let [w, change] = [&mut self.w[g], &mut self.change[g]];
+        interpolate(kernel, &at, w);
+        if let Some(shift) = shift {
+            // The chord between the ends, moved to halve its largest distance from the coefficients.
+            let mut ends = [[[0.0f32; BEAMS]; TAPS]; 2];
+            for (sign, end) in [-1.0, 1.0].into_iter().zip(&mut ends) {
+                let mut at = at;
+                for (at, shift) in at.iter_mut().zip(shift) {
+                    *at += sign * shift;
                 }
-                odd *= at;
-                self.w[g][t][i] = even + odd;
-                self.w[g][TAPS - 1 - t][i] = even - odd;
+                interpolate(kernel, &at, end);
             }
+            for t in 0..TAPS {
+                for i in 0..BEAMS {
+                    let [a, b] = [ends[0][t][i], ends[1][t][i]];
+                    w[t][i] = 0.5 * w[t][i] + 0.25 * (a + b);
+                    change[t][i] = 0.5 * (b - a);
+                }
+            }
+        }
+    }
+}
+
+/// Coefficients at positions between the two middle directions.
+#[inline(always)]
+fn interpolate(kernel: &Kernel, at: &[f32; BEAMS], w: &mut [[f32; BEAMS]; TAPS]) {
+    for (t, terms) in kernel.iter().enumerate() {
+        for (i, at) in at.iter().enumerate() {
+            let square = at * at;
+            let (mut even, mut odd) = (0.0, 0.0);
+            for pair in terms.chunks_exact(2).rev() {
+                even = even * square + pair[0];
+                odd = odd * square + pair[1];
+            }
+            odd *= at;
+            w[t][i] = even + odd;
+            w[TAPS - 1 - t][i] = even - odd;
         }
     }
 }
@@ -364,7 +446,7 @@ pub(super) fn max_curvature_per_m(half_m: f64, reach_m: f64, pulse: &Pulse, c: f
 }
 
 /// Coefficients that interpolate functions of the band with least squares, as polynomials through Chebyshev nodes.
-pub(super) fn kernel() -> [[f32; TERMS]; TAPS / 2] {
+pub(super) fn kernel() -> Kernel {
     let node = |n: usize| 0.5 * (std::f64::consts::PI * (n as f64 + 0.5) / TERMS as f64).cos();
     let mut at_node = [[0.0; TERMS]; TAPS / 2];
     for n in 0..TERMS {

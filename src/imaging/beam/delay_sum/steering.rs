@@ -48,23 +48,27 @@ impl Focus {
         (q, (x - self.d_m[0]) / q)
     }
 
-    /// Delay of an element relative to the array's centre, times the sound speed; and the slope along the line.
+    /// Delay of an element relative to the array's centre, times the sound speed; the slope along the line; and the inverse of the distance.
     #[inline(always)]
-    pub(super) fn late_m(&self, [vx, vz]: [f32; 2], x: f32) -> (f32, f32) {
-        let (q, slope) = self.leg(x);
-        let difference = x * (x - 2.0 * self.d_m[0]) / (q + self.range_m);
-        let late_m = difference / (1.0 + self.d_m[1] * vz / q - slope * vx);
-        (late_m, slope)
+    pub(super) fn late_m(&self, [vx, vz]: [f32; 2], x: f32) -> (f32, f32, f32) {
+        let [dx, dz] = self.d_m;
+        let difference_m2 = x * (x - 2.0 * dx);
+        let q2 = self.range_m * self.range_m + difference_m2;
+        let q = q2.max(1e-12).sqrt();
+        let per_q = 1.0 / q;
+        let slope = (x - dx) * per_q;
+        let opening = 1.0 + dz * vz * per_q - slope * vx;
+        (difference_m2 / ((q + self.range_m) * opening), slope, per_q)
     }
 
-    /// The same for an element with places along the line and along the boresight, and the slope along a tangent there.
+    /// The same for an element with places along the line and along the boresight, with the slope along a tangent there.
     #[inline(always)]
     pub(super) fn late_m_of(
         &self,
         [vx, vz]: [f32; 2],
         [x, z]: [f32; 2],
         tangent: [f32; 2],
-    ) -> (f32, f32) {
+    ) -> (f32, f32, f32) {
         let [dx, dz] = self.d_m;
         let difference_m2 = x * (x - 2.0 * dx) + z * (z - 2.0 * dz);
         let q2 = self.range_m * self.range_m + difference_m2;
@@ -73,7 +77,22 @@ impl Focus {
         let [wx, wz] = [x - dx, z - dz];
         let opening = 1.0 - (wx * vx + wz * vz) * per_q;
         let late_m = difference_m2 / ((q + self.range_m) * opening);
-        (late_m, (wx * tangent[0] + wz * tangent[1]) * per_q)
+        let slope = (wx * tangent[0] + wz * tangent[1]) * per_q;
+        (late_m, slope, per_q)
+    }
+
+    /// Change of a slope for each change of the radius R, at a place along a tangent: t.w/q with w = place - d, of which d(t.w)/dR = -t.e and
+    /// dq/dR = -w.e/q, where e points to the focus.
+    #[inline(always)]
+    pub(super) fn slope_per_radius(
+        &self,
+        [x, z]: [f32; 2],
+        tangent: [f32; 2],
+        (slope, per_q): (f32, f32),
+    ) -> f32 {
+        let along = |[x, z]: [f32; 2]| x * self.sine + z * self.cosine;
+        let way = along([x - self.d_m[0], z - self.d_m[1]]);
+        (slope * way * per_q - along(tangent)) * per_q
     }
 
     /// Distance to such a place, the slope of the delay along a tangent there (a sine), and the way from the focus to the place.
