@@ -123,7 +123,7 @@ struct Tile {
     time_s: Option<f64>,
 }
 
-/// Samples of a tile of groups with the same coefficients. Counted from the first of the tile.
+/// Samples of a tile of groups that share a focus, or through which it moves evenly. Counted from the first of the tile.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     first: usize,
