@@ -9,7 +9,6 @@
 //! 1/(3.6 nu) apart, so that the function is oversampled by 1.8. Least-squares coefficients for that band interpolate it with an rms error of
 //! 4e-3 at most, a sixth of the power that an error of 1e-2 has. The exact phase of the group's centre belongs to the second sum.
 //!
-//!
 //! Between the range of the tile and that of a sample, the direction in which a group sees the point in focus changes; the second sum takes the
 //! direction of equal slope. What remains is the change of the curvature within a group and of the envelope's delay, which the length of a tile
 //! limits. The focus follows the range in spans of a tile. The delay of a group's centre changes in a span: every direction's samples are turned by that
