@@ -1493,6 +1493,8 @@ pub struct FanForm {
     pub f_number: Option<f64>,
     /// Maximum carrier phase error of the focus with `dynamic-focus`, radians.
     pub focus_error_rad: f64,
+    /// Nearest range of the focus with `dynamic-focus`, metres.
+    pub focus_from_m: f64,
     /// Of an arc: angle between the normals of the outermost elements that a beam uses, radians.
     pub aperture_rad: f64,
     /// True if the bottom is detected in every beam.
@@ -1508,6 +1510,7 @@ impl Default for FanForm {
             roll_stabilised: false,
             f_number: None,
             focus_error_rad: 0.1,
+            focus_from_m: 0.0,
             aperture_rad: 80f64.to_radians(),
             bottom_detection: false,
         }

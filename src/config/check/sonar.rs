@@ -894,6 +894,7 @@ fn fan(table: &keys::Fan, arrays: &Arrays<'_>, problems: &mut Problems) -> Optio
             roll_stabilised,
             f_number: table.f_number.if_given()?,
             focus_error_rad: table.focus_error_deg.get()?,
+            focus_from_m: table.focus_from_m.get()?,
             aperture_rad: table.aperture_deg.get()?,
             bottom_detection: table.bottom_detection.get()?,
         },

@@ -387,6 +387,9 @@ table! {
 
     /// Maximum carrier phase error at the ends of a focal zone. In fans of many elements and beams the focus moves from sample to sample wherever it would be exceeded. Only with former = "dynamic-focus".
     focus_error_deg: Degrees(from(0.1, 90.0)), Default("5.0"), only with former = "dynamic-focus";
+
+    /// Nearest range of the focus, 0.75 times the array's length at least. Nearer samples are summed with the focus there. The focus of a long array changes fastest at the nearest ranges, where it takes much of the time. Only with former = "dynamic-focus".
+    focus_from_m: Number(from(0.0, 20_000.0)), Default("0.0"), only with former = "dynamic-focus";
 }
 
 table! {

@@ -16,7 +16,7 @@
 //!   Q = |q|, D = |S - v t|. Q - D is computed as x_e (x_e - 2 d_x)/(Q + D), which is well conditioned in f32.
 //!   A focus applies to a zone of ranges r in which its carrier-phase error is at most `focus_error_rad` at the outermost element. The
 //!   error is (pi/lambda) a^2 |1/r - 1/r_zone|, where a is half the aperture in use. With `f_number` = F the aperture in use is r/F, limited
-//!   to the whole line. The focus stays at 1.5 a for nearer samples, most of which are received during the pulse. Sums by groups follow the focus
+//!   to the whole line. The focus stays at 1.5 a, or farther at `focus_from_m`, for nearer samples. Sums by groups follow the focus
 //!   from sample to sample, in spans instead of zones, see [`groups`].
 //!
 //! Rows are matched-filtered and summed in f32. Delays use rows at a few fractions of a sample, see [`interpolation`]. Their error affects the
@@ -62,7 +62,7 @@ use interpolation::{Interpolation, MAX_FRACTIONS, TAPS, band_hz, convolve};
 use second_sum::{CHUNK, sum_directions};
 use steering::{Foci, Focus, GridLayout, MIN_DISTANCE_M, Steering};
 
-/// Minimum range of a focus in units of half the aperture in use.
+/// Minimum range of a focus in units of half the aperture.
 const MIN_FOCUS: f64 = 1.5;
 /// Directions of a group that are steered together.
 const FOCI: usize = 8;
@@ -82,6 +82,7 @@ pub(crate) struct DelaySumFormer {
     taper: Taper,
     f_number: Option<f64>,
     focus_error_rad: f64,
+    focus_from_m: f64,
     /// Elements of a line that are summed apart: all, or two halves and between them what is left. The beams of an arc have their own.
     sections: Vec<Range<usize>>,
     has_halves: bool,
@@ -206,11 +207,7 @@ impl DelaySumFormer {
             let pulse = (pulse, limits.sample_rate_hz, c);
             ArcGroups::new(array, (arc, has_halves), sector, pulse, rows)
         });
-        let capacity = match (&groups, &arc_groups) {
-            (Some(groups), _) => groups.capacity,
-            (None, Some(groups)) => groups.capacity,
-            (None, None) => 0,
-        };
+        let capacity = either(&groups, &arc_groups).map_or(0, Grouping::capacity);
         let room = capacity * 2 * MAX_SAMPLES + STEP;
         let grid_room = BLOCK.min(elements) * MAX_FRACTIONS * 2 * grid_row(margin) + STEP;
         let mut former = Self {
@@ -222,6 +219,7 @@ impl DelaySumFormer {
             taper: Taper::new(fan.shading),
             f_number: fan.form.f_number,
             focus_error_rad: fan.form.focus_error_rad,
+            focus_from_m: fan.form.focus_from_m,
             sections,
             has_halves,
             margin,
@@ -289,28 +287,20 @@ impl DelaySumFormer {
             ArcGroups::new(array, of, sector, (pulse, rate_hz, c), rows)
         });
         // With groups, spans have the coefficients that zones have without.
-        let (sums, parts, span) = match (&groups, &arc_groups, &arc) {
-            (Some(groups), ..) => {
+        let (sums, parts, span) = match (either(&groups, &arc_groups), &arc) {
+            (Some(groups), _) => {
                 let directions = groups.directions(sector, pulse, band_hz(pulse), c);
                 (
                     groups.products((sector, fan.beams), (pulse, c), rows),
-                    groups.parts.len(),
+                    groups.parts().len(),
                     Some(groups.span_curvature_per_m(&directions)),
                 )
             }
-            (None, Some(groups), _) => {
-                let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-                (
-                    groups.products(sector, (pulse, c), rows),
-                    groups.parts.len(),
-                    Some(groups.span_curvature_per_m(&directions)),
-                )
-            }
-            (.., Some(arc)) => {
+            (None, Some(arc)) => {
                 let of_beam = arc.terms() / fan.beams.max(1);
                 ((arc.terms() * rows) as f64, of_beam, None)
             }
-            (.., None) => {
+            (None, None) => {
                 let products = array.elements * fan.beams * rows;
                 (products as f64, array.elements, None)
             }
@@ -327,7 +317,8 @@ impl DelaySumFormer {
                 let wavelength_m = c / pulse.center_frequency_hz;
                 let of_zone = curvature_of(fan.form.focus_error_rad, wavelength_m, half_m);
                 let curvature = span.map_or(of_zone, |of_span| of_span.max(of_zone));
-                zones(curvature, MIN_FOCUS * half_m, samples, 0.5 * c / rate_hz)
+                let near_m = fan.form.focus_from_m.max(MIN_FOCUS * half_m);
+                zones(curvature, near_m, samples, 0.5 * c / rate_hz)
                     + span.map_or(0.0, |_| (samples / MAX_SAMPLES) as f64)
             }
             _ => 1.0,
@@ -392,6 +383,12 @@ impl DelaySumFormer {
         }
     }
 
+    /// Nearest range of the focus, metres.
+    fn min_focus_m(&self) -> f64 {
+        let half_m = self.half_aperture_m(f64::INFINITY);
+        self.focus_from_m.max(MIN_FOCUS * half_m)
+    }
+
     fn uses_whole_line(&self, range_m: f64) -> bool {
         self.half_aperture_m(range_m) >= self.half_aperture_m(f64::INFINITY)
     }
@@ -422,8 +419,8 @@ impl DelaySumFormer {
         while first < samples {
             let near_m = self.range_m(first, first_sample_s);
             let half_m = self.half_aperture_m(near_m);
-            if near_m < MIN_FOCUS * half_m {
-                let min_m = MIN_FOCUS * self.half_aperture_m(f64::INFINITY);
+            let min_m = self.focus_from_m.max(MIN_FOCUS * half_m);
+            if near_m < min_m {
                 let end = self.end_of_range(min_m, first_sample_s);
                 let end = end.clamp((first + 1) as f64, samples as f64) as usize;
                 self.zones.push(zone(first, end, 2.0 * min_m / c));
@@ -486,19 +483,13 @@ impl DelaySumFormer {
     fn aim_groups(&mut self) {
         if let (Some(groups), Some(arc)) = (&mut self.arc_groups, &self.steered.arc) {
             groups.aim(arc);
-            let pulse = self.steered.correlator.pulse();
-            let sector = ends(&self.steered.directions.sine);
-            let c = self.steered.sound_speed_m_per_s;
-            let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-            self.directions = (directions.count <= groups.capacity).then_some(directions);
-            return;
         }
-        self.directions = self.groups.as_ref().and_then(|groups| {
+        self.directions = either(&self.groups, &self.arc_groups).and_then(|groups| {
             let pulse = self.steered.correlator.pulse();
             let sector = ends(&self.steered.directions.sine);
             let c = self.steered.sound_speed_m_per_s;
             let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-            (directions.count <= groups.capacity).then_some(directions)
+            (directions.count <= groups.capacity()).then_some(directions)
         });
     }
 
@@ -506,13 +497,13 @@ impl DelaySumFormer {
         self.tiles.clear();
         let c = self.steered.sound_speed_m_per_s;
         let is_focused = self.former == Former::DynamicFocus;
-        let min_focus_m = MIN_FOCUS * self.half_aperture_m(f64::INFINITY);
+        let min_focus_m = self.min_focus_m();
         let pulse = self.steered.correlator.pulse();
-        let curvature = match (&self.directions, &self.groups, &self.arc_groups) {
-            (Some(_), Some(groups), _) => Some(groups.max_curvature_per_m(pulse, c)),
-            (Some(_), None, Some(groups)) => Some(groups.max_curvature_per_m(pulse, c)),
-            _ => None,
-        };
+        let groups = self
+            .directions
+            .as_ref()
+            .and(either(&self.groups, &self.arc_groups));
+        let curvature = groups.map(|groups| groups.max_curvature_per_m(pulse, c));
         let mut first = 0;
         while first < samples {
             let mut tile = Tile {
@@ -524,8 +515,10 @@ impl DelaySumFormer {
                 let near_m = self.range_m(first, first_sample_s);
                 let (far_m, serve) = if !is_focused {
                     (f64::INFINITY, true)
-                } else if near_m < min_focus_m || !self.uses_whole_line(near_m) {
+                } else if !self.uses_whole_line(near_m) {
                     (min_focus_m.max(1.05 * near_m), false)
+                } else if near_m < min_focus_m {
+                    (min_focus_m, true)
                 } else {
                     let far = 1.0 / near_m - 2.0 * curvature;
                     (if far > 0.0 { 1.0 / far } else { f64::INFINITY }, true)
@@ -534,6 +527,7 @@ impl DelaySumFormer {
                     .end_of_range(far_m, first_sample_s)
                     .clamp((first + 1) as f64, tile.end as f64) as usize;
                 let far_m = self.range_m(tile.end - 1, first_sample_s);
+                let [near_m, far_m] = [near_m, far_m].map(|r| r.max(min_focus_m));
                 let middle = 0.5 * (1.0 / near_m + 1.0 / far_m);
                 tile.time_s = serve.then_some(2.0 / (c * middle));
             }
@@ -546,21 +540,24 @@ impl DelaySumFormer {
     fn make_spans(&self, tile: &Tile, first_sample_s: f64, spans: &mut Vec<Span>) {
         spans.clear();
         let samples = tile.end - tile.first;
-        let time_s = |k: usize| {
-            let c = self.steered.sound_speed_m_per_s;
-            2.0 * self.range_m(tile.first + k, first_sample_s) / c
+        let min_focus_m = self.min_focus_m();
+        let focus_m = |k: usize| {
+            let range_m = self.range_m(tile.first + k, first_sample_s);
+            range_m.max(min_focus_m)
         };
-        let curvature = match (&self.directions, &self.groups, &self.arc_groups) {
-            (Some(of), Some(groups), _) => groups.span_curvature_per_m(of),
-            (Some(of), None, Some(groups)) => groups.span_curvature_per_m(of),
-            _ => f64::INFINITY,
-        };
+        let groups = self
+            .directions
+            .as_ref()
+            .zip(either(&self.groups, &self.arc_groups));
+        let curvature = groups.map_or(f64::INFINITY, |(of, groups)| {
+            groups.span_curvature_per_m(of)
+        });
         let half_m = self.half_aperture_m(f64::INFINITY);
         // Change of 1/r with the permitted error of the focus.
         let still_per_m = curvature_of(self.focus_error_rad, self.steered.wavelength_m(), half_m);
         let mut first = 0;
         while first < samples {
-            let near_m = self.range_m(tile.first + first, first_sample_s);
+            let near_m = focus_m(first);
             let far = match self.former {
                 Former::DynamicFocus => 1.0 / near_m - 2.0 * curvature.max(still_per_m),
                 _ => 0.0,
@@ -575,8 +572,8 @@ impl DelaySumFormer {
             if end < samples && whole > first {
                 end = whole;
             }
-            let ends_s = [first, end - 1].map(time_s);
-            let far_m = self.range_m(tile.first + end - 1, first_sample_s);
+            let far_m = focus_m(end - 1);
+            let ends_s = [near_m, far_m].map(|r| 2.0 * r / self.steered.sound_speed_m_per_s);
             let change = 0.5 * (1.0 / near_m - 1.0 / far_m);
             let moves = self.former == Former::DynamicFocus && change > still_per_m;
             spans.push(Span {
@@ -1107,6 +1104,12 @@ impl Span {
         }
         &to[..part.samples]
     }
+}
+
+/// The groups that there are: an array is a line or an arc.
+fn either<'a>(line: &'a Option<Groups>, arc: &'a Option<ArcGroups>) -> Option<&'a dyn Grouping> {
+    let line = line.as_ref().map(|groups| groups as &dyn Grouping);
+    line.or(arc.as_ref().map(|groups| groups as &dyn Grouping))
 }
 
 /// Change of 1/r that makes an error of the phase at the ends of an aperture of half a length.

@@ -92,7 +92,7 @@ impl ArcGroups {
         };
         groups.aim(arc);
         groups.capacity = groups.directions(sector, pulse, rate_hz, c).count;
-        let products = groups.products(sector, (pulse, c), rows);
+        let products = groups.products((sector, arc.beams.len()), (pulse, c), rows);
         let is_faster = ADVANTAGE * products < (arc.terms() * rows) as f64;
         let wavelength_m = c / pulse.center_frequency_hz;
         (is_faster && groups.steps_are_low(array, arc, wavelength_m)).then_some(groups)
@@ -134,15 +134,6 @@ impl ArcGroups {
         of_steps <= of_shading
     }
 
-    /// Products for each sample of all beams.
-    pub(super) fn products(&self, sector: [f64; 2], (pulse, c): (&Pulse, f64), rows: usize) -> f64 {
-        let directions = self.directions(sector, pulse, band_hz(pulse), c);
-        let longest = self.parts.iter().map(Range::len).max().unwrap_or(0);
-        let mixed: usize = self.sections.iter().flatten().map(Range::len).sum();
-        // A real coefficient has half of the products of a complex one.
-        (directions.count * longest * rows + mixed * BEAMS * (TAPS / 2 + 1)) as f64
-    }
-
     /// Takes the elements and the weights of the beams.
     pub(super) fn aim(&mut self, arc: &ArcApertures) {
         self.reach_m = arc.reach_m;
@@ -178,14 +169,30 @@ impl ArcGroups {
         }
     }
 
-    /// Directions that serve the beams with sines in `sector`.
-    pub(super) fn directions(
-        &self,
-        sector: [f64; 2],
-        pulse: &Pulse,
-        band_hz: f64,
-        c: f64,
-    ) -> Directions {
+    /// Unit vector of direction `j` of group `g`, along the array's axis and along the boresight.
+    pub(super) fn toward(&self, g: usize, grid: &Grid, j: usize) -> [f64; 2] {
+        let [sin, cos] = self.normal[g];
+        let v = grid.sine(j).clamp(-1.0, 1.0);
+        let w = (1.0 - v * v).max(0.0).sqrt();
+        [sin * w + cos * v, cos * w - sin * v]
+    }
+
+    fn groups(&self, batch: usize) -> Range<usize> {
+        let [a, b] = &self.sections[batch];
+        a.start..b.end
+    }
+}
+
+impl Grouping for ArcGroups {
+    fn parts(&self) -> &[Range<usize>] {
+        &self.parts
+    }
+
+    fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    fn directions(&self, sector: [f64; 2], pulse: &Pulse, band_hz: f64, c: f64) -> Directions {
         let [from_rad, to_rad] = sector.map(|sine| sine.clamp(-1.0, 1.0).asin());
         let half_rad = self.half_aperture_rad;
         let places = self.place_m[..self.parts.len()].iter();
@@ -198,32 +205,28 @@ impl ArcGroups {
         Directions::new(groups, self.half_m, (pulse, band_hz, c))
     }
 
-    /// Unit vector of direction `j` of group `g`, along the array's axis and along the boresight.
-    pub(super) fn toward(&self, g: usize, grid: &Grid, j: usize) -> [f64; 2] {
-        let [sin, cos] = self.normal[g];
-        let v = grid.sine(j).clamp(-1.0, 1.0);
-        let w = (1.0 - v * v).max(0.0).sqrt();
-        [sin * w + cos * v, cos * w - sin * v]
+    fn products(
+        &self,
+        (sector, _): ([f64; 2], usize),
+        (pulse, c): (&Pulse, f64),
+        rows: usize,
+    ) -> f64 {
+        let directions = self.directions(sector, pulse, band_hz(pulse), c);
+        let longest = self.parts.iter().map(Range::len).max().unwrap_or(0);
+        let mixed: usize = self.sections.iter().flatten().map(Range::len).sum();
+        // A real coefficient has half of the products of a complex one.
+        (directions.count * longest * rows + mixed * BEAMS * (TAPS / 2 + 1)) as f64
     }
 
-    /// Largest change of 1/r from the range of a tile to its ends.
-    pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
+    fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
         // The outer beams of a line have this error in its outermost group only, those of an arc in most: squares of even places have an rms of 1/sqrt(5).
         max_curvature_per_m(self.half_m, 5f64.powf(0.25) * self.reach_m, pulse, c)
     }
 
-    /// The same of a span.
-    pub(super) fn span_curvature_per_m(&self, directions: &Directions) -> f64 {
+    fn span_curvature_per_m(&self, directions: &Directions) -> f64 {
         directions.max_shift() / self.reach_m
     }
 
-    fn groups(&self, batch: usize) -> Range<usize> {
-        let [a, b] = &self.sections[batch];
-        a.start..b.end
-    }
-}
-
-impl Grouping for ArcGroups {
     fn sections(&self, batch: usize) -> &[Range<usize>] {
         &self.sections[batch][..if self.has_halves { 2 } else { 1 }]
     }

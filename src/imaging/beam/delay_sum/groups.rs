@@ -45,8 +45,26 @@ const MAX_SHIFT: f64 = 0.2;
 /// The dense sum has fewer steps for each product.
 pub(super) const ADVANTAGE: f64 = 1.3;
 
-/// Groups of elements, as the second sums see them.
+/// Groups of elements, of a line or an arc.
 pub(super) trait Grouping {
+    /// Elements of each group.
+    fn parts(&self) -> &[Range<usize>];
+
+    /// Room for directions.
+    fn capacity(&self) -> usize;
+
+    /// Directions that serve the beams with sines in `sector`.
+    fn directions(&self, sector: [f64; 2], pulse: &Pulse, band_hz: f64, c: f64) -> Directions;
+
+    /// Products for each sample of all beams. `rows` is the number of rows for each delay.
+    fn products(&self, of: ([f64; 2], usize), pulse: (&Pulse, f64), rows: usize) -> f64;
+
+    /// Largest change of 1/r from the range of a tile to its ends.
+    fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64;
+
+    /// The same of a span.
+    fn span_curvature_per_m(&self, directions: &Directions) -> f64;
+
     /// Groups of each section of a batch of [`BEAMS`] beams.
     fn sections(&self, batch: usize) -> &[Range<usize>];
 
@@ -242,20 +260,6 @@ impl Groups {
             .map(|(_, groups)| groups)
     }
 
-    /// Products for each sample of all beams.
-    pub(super) fn products(
-        &self,
-        (sector, beams): ([f64; 2], usize),
-        (pulse, c): (&Pulse, f64),
-        rows: usize,
-    ) -> f64 {
-        let directions = self.directions(sector, pulse, band_hz(pulse), c);
-        let elements = self.parts.last().map_or(0, |part| part.end);
-        let first = directions.count * elements / self.parts.len() * rows;
-        // A real coefficient has half of the products of a complex one.
-        (first + beams * self.parts.len() * (TAPS / 2 + 1)) as f64
-    }
-
     fn of_size(size: usize, sections: &[Range<usize>], spacing_m: f64) -> Option<Self> {
         let elements = sections.last()?.end;
         let (mut parts, mut of_section) = (Vec::new(), Vec::new());
@@ -284,32 +288,44 @@ impl Groups {
             kernel: kernel(),
         })
     }
+}
 
-    /// Directions that serve the beams with sines in `sector`.
-    pub(super) fn directions(
-        &self,
-        sector: [f64; 2],
-        pulse: &Pulse,
-        band_hz: f64,
-        c: f64,
-    ) -> Directions {
+impl Grouping for Groups {
+    fn parts(&self) -> &[Range<usize>] {
+        &self.parts
+    }
+
+    fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    fn directions(&self, sector: [f64; 2], pulse: &Pulse, band_hz: f64, c: f64) -> Directions {
         let groups = self.x_m[..self.parts.len()].iter();
         let of_group = groups.map(|x_m| (sector, f64::from(x_m.abs()) + self.half_m));
         Directions::new(of_group, self.half_m, (pulse, band_hz, c))
     }
 
-    /// Largest change of 1/r from the range of a tile to its ends.
-    pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
+    fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
         max_curvature_per_m(self.half_m, self.line_half_m, pulse, c)
     }
 
-    /// The same of a span.
-    pub(super) fn span_curvature_per_m(&self, directions: &Directions) -> f64 {
+    fn span_curvature_per_m(&self, directions: &Directions) -> f64 {
         directions.max_shift() / self.line_half_m
     }
-}
 
-impl Grouping for Groups {
+    fn products(
+        &self,
+        (sector, beams): ([f64; 2], usize),
+        (pulse, c): (&Pulse, f64),
+        rows: usize,
+    ) -> f64 {
+        let directions = self.directions(sector, pulse, band_hz(pulse), c);
+        let elements = self.parts.last().map_or(0, |part| part.end);
+        let first = directions.count * elements / self.parts.len() * rows;
+        // A real coefficient has half of the products of a complex one.
+        (first + beams * self.parts.len() * (TAPS / 2 + 1)) as f64
+    }
+
     fn sections(&self, _: usize) -> &[Range<usize>] {
         &self.sections
     }

@@ -547,10 +547,12 @@ struct Reverberation {
     frame: ElementFrame,
     /// Matched-filtered rows, f64.
     rows: Vec<Complex64>,
+    /// Nearest range of the focus, metres.
+    focus_from_m: f64,
 }
 
 impl Reverberation {
-    fn new(rig: Rig, rate_hz: f64) -> Self {
+    fn new(rig: Rig, rate_hz: f64, focus_from_m: f64) -> Self {
         let mut state = 7u64;
         let mut draw = || {
             state = state
@@ -576,6 +578,7 @@ impl Reverberation {
             rate_hz,
             frame,
             rows,
+            focus_from_m,
         }
     }
 
@@ -583,6 +586,7 @@ impl Reverberation {
         let limits = limits(self.rate_hz, self.rig.samples, self.rig.pulse.duration_s);
         let mut fan = fan.clone();
         fan.form.bottom_detection = true;
+        fan.form.focus_from_m = self.focus_from_m;
         DelaySumFormer::new(
             &self.rig.array,
             &transmitter(self.rig.transmit_m),
@@ -594,8 +598,8 @@ impl Reverberation {
         )
     }
 
-    /// Beam and sample number `n` of those of a fan of 512 beams that are compared: in a record from range 0, from `min_m` on, the minimum range of the
-    /// focus, where the reference has all its samples.
+    /// Beam and sample number `n` of those of a fan of 512 beams that are compared: in a record from range 0, from `min_m` on, where the reference has
+    /// all its samples.
     fn probe(&self, n: usize, first_m: f64, min_m: f64) -> (usize, usize) {
         let near = match first_m == 0.0 {
             true => min_m * 2.0 / C * self.rate_hz,
@@ -610,7 +614,7 @@ impl Reverberation {
 
     /// One sample of a beam of some elements in f64: every element's exact delay, a sinc of 64 samples.
     fn exact(&self, weights: &[f64], sine: f64, sample: usize, first_s: f64) -> Complex64 {
-        let time_s = first_s + sample as f64 / self.rate_hz;
+        let time_s = (first_s + sample as f64 / self.rate_hz).max(2.0 * self.focus_from_m / C);
         // The point whose echo reaches the array's centre at this time.
         let (mut low, mut high) = (0.0, C * time_s);
         let delay_s = |range_m: f64, at_m: DVec3| self.rig.delay_s(Rig::point(sine, range_m), at_m);
@@ -647,6 +651,14 @@ impl Reverberation {
     }
 }
 
+/// Records: range of the first sample, metres, number of samples, and nearest range of the focus, metres.
+const RECORDS: [(f64, usize, f64); 4] = [
+    (0.0, 600, 0.0),
+    (0.0, 600, 1.0),
+    (8.0, 300, 0.0),
+    (40.0, 300, 0.0),
+];
+
 /// The lines of two multibeam sonars at 400 kHz: a CW pulse, and a sweep of 80 kHz. Error of random samples of the fan and of the products of
 /// its halves, relative to their rms, by groups and element by element.
 #[test]
@@ -659,11 +671,11 @@ fn beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range() {
         ("CW", cw, 34e3, 0.0016, 140.0_f64),
         ("LFM", lfm, 115e3, 0.00172, 130.0),
     ] {
-        for (first_m, samples) in [(0.0, 600), (8.0, 300), (40.0, 300)] {
+        for (first_m, samples, focus_from_m) in RECORDS {
             let mut rig = Rig::new(256, spacing_m, samples);
             rig.pulse = pulse;
             rig.velocity_m_per_s = DVec3::new(0.5, 0.0, 0.3);
-            let rev = Reverberation::new(rig, rate_hz);
+            let rev = Reverberation::new(rig, rate_hz, focus_from_m);
             let shading = Shading::Taylor { side_lobe_db: 35.0 };
             let mut spec = fan(512, sector_deg.to_radians(), shading, Former::DynamicFocus);
             spec.form.focus_error_rad = f64::to_radians(2.0);
@@ -715,7 +727,7 @@ fn beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range() {
                 }
                 errors.extend((0..2).map(|k| f64::sqrt(off[k] / all[k])));
                 println!(
-                    "{name} from {first_m} m, groups {by_groups}: {:.1e} {:.1e}; {took:?}, {} tiles, {} zones, {:?}",
+                    "{name} from {first_m} m, focus from {focus_from_m} m, groups {by_groups}: {:.1e} {:.1e}; {took:?}, {} tiles, {} zones, {:?}",
                     errors[errors.len() - 2],
                     errors[errors.len() - 1],
                     former.tiles.len(),
@@ -740,12 +752,12 @@ fn beams_of_an_arc_are_within_1_percent_of_the_exact_focus_at_every_range() {
     let lfm = pulse(PulseKind::LfmUp, 80e3, 0.5e-3, 0.5);
     let rate_hz = 115e3;
     let mut all_errors = Vec::new();
-    for (first_m, samples) in [(0.0, 600), (8.0, 300), (40.0, 300)] {
+    for (first_m, samples, focus_from_m) in RECORDS {
         let mut rig = Rig::new(256, 0.00172, samples);
         rig.array.radius_m = Some(0.21);
         rig.pulse = lfm;
         rig.velocity_m_per_s = DVec3::new(0.5, 0.0, 0.3);
-        let rev = Reverberation::new(rig, rate_hz);
+        let rev = Reverberation::new(rig, rate_hz, focus_from_m);
         let shading = Shading::Taylor { side_lobe_db: 30.0 };
         let sector_rad = 130f64.to_radians();
         let mut spec = fan(512, sector_rad, shading, Former::DynamicFocus);
@@ -792,7 +804,7 @@ fn beams_of_an_arc_are_within_1_percent_of_the_exact_focus_at_every_range() {
             }
             let [error, of_smooth] = [off, off_smooth].map(|off: f64| (off / all).sqrt());
             println!(
-                "from {first_m} m, groups {by_groups}: {error:.1e}, of the smooth shading {of_smooth:.1e}; {took:?}, {} tiles, {} zones, {:?}",
+                "from {first_m} m, focus from {focus_from_m} m, groups {by_groups}: {error:.1e}, of the smooth shading {of_smooth:.1e}; {took:?}, {} tiles, {} zones, {:?}",
                 former.tiles.len(),
                 former.zones.len(),
                 former.directions.map(|directions| directions.count),
