@@ -41,8 +41,8 @@ const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
 const FLANK: f64 = 3.0;
 /// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of a single echo.
 const FLATNESS: [f64; 2] = [1.0, 0.5];
-/// Smallest supported tolerance: at 3e-4, onsets of many echoes were measured 1.1 times above it.
-pub const MIN_TOLERANCE: f64 = 5e-4;
+/// Smallest supported tolerance. The kernels tried do not reach it with short pulses of sharp ends.
+pub const MIN_TOLERANCE: f64 = 2e-4;
 /// Kernels and grids to try: rows, and rows per sample as a fraction.
 const WIDTHS: [usize; 7] = [2, 3, 4, 5, 6, 7, 8];
 const DENSITIES: [(usize, usize); 4] = [(1, 1), (5, 4), (3, 2), (2, 1)];

@@ -109,7 +109,7 @@ fn every_window_keeps_its_tolerance_and_is_not_much_better() {
         let elements = [0, 13, 39];
         let truths = elements.map(|element| truth(&scene, element, false));
         let mut cost_ms = f64::INFINITY;
-        for tolerance in [5e-4, 1e-3, 1e-2, 1e-1] {
+        for tolerance in [2e-4, 3e-4, 5e-4, 1e-3, 1e-2, 1e-1] {
             let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
             let iq = samples(&scene, &mut engine);
             let errors = elements.iter().zip(&truths).map(|(&element, want)| {
@@ -410,8 +410,17 @@ fn sweeps_of_any_relative_bandwidth_keep_the_tolerance_until_echoes_are_counted(
             let decimator =
                 echotank_synthesis::array::Decimator::new(pulse, RATE_HZ, doppler_hz, 32);
             scene.decimator = decimator.expect("fits");
-            for tolerance in [5e-4, 5e-3] {
-                let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
+            for tolerance in [2e-4, 5e-4, 5e-3] {
+                let made = made(&scene, tolerance, SimdLevel::best());
+                // Short pulses with sharp ends have much beside their band.
+                let Ok(mut engine) = made else {
+                    println!(
+                        "{kind:?} {carrier_hz} Hz: {}",
+                        made.err().expect("as before")
+                    );
+                    assert!(tolerance < 5e-4 && duration_s < 1e-3);
+                    continue;
+                };
                 let (leg, _) = scene.transmit_leg();
                 let count = scene.plan.sample_count;
                 let mut iq = vec![Complex64::ZERO; scene.rx.elements * count];
@@ -440,7 +449,7 @@ fn sweeps_of_any_relative_bandwidth_keep_the_tolerance_until_echoes_are_counted(
 /// Along 16 elements the direction of an echo changes, and with it the Doppler: not only in proportion to the place.
 #[test]
 fn dopplers_that_change_along_a_block_keep_the_tolerance() {
-    for (speed_m_per_s, tolerance) in [(1.0, 5e-4), (9.0, 5e-4), (9.0, 2e-3), (9.0, 1e-2)] {
+    for (speed_m_per_s, tolerance) in [(1.0, 2e-4), (9.0, 5e-4), (9.0, 2e-3), (9.0, 1e-2)] {
         let drawn = Draw {
             velocity_m_per_s: DVec3::new(speed_m_per_s, 0.3, 0.3),
             scatterers: 60,
