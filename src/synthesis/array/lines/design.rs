@@ -362,6 +362,12 @@ impl Effort {
     }
 }
 
+/// To two digits, for messages.
+fn rounded_up(value: f64) -> f64 {
+    let digits = 10f64.powf(1.0 - value.log10().floor());
+    (value * digits).ceil() / digits
+}
+
 /// Least-squares errors of so many columns are like the Legendre polynomial of that degree: at the ends of an echo so many times their rms.
 fn end_of_columns(taps: usize) -> f64 {
     (2.0 * taps as f64 + 1.0).sqrt()
@@ -737,7 +743,7 @@ impl Design {
         }
         let mut best = best.ok_or(Refusal::TooFine {
             tolerance,
-            least: finest,
+            least: rounded_up(finest),
         })?;
         let per_sample = best.slab_rows as f64 / best.slab_samples as f64;
         best.echo = (!moving).then(|| Arc::new(single_echo.profile(&best.kernel, per_sample)));

@@ -411,15 +411,16 @@ fn sweeps_of_any_relative_bandwidth_keep_the_tolerance_until_echoes_are_counted(
                 echotank_synthesis::array::Decimator::new(pulse, RATE_HZ, doppler_hz, 32);
             scene.decimator = decimator.expect("fits");
             for tolerance in [2e-4, 5e-4, 5e-3] {
-                let made = made(&scene, tolerance, SimdLevel::best());
-                // Short pulses with sharp ends have much beside their band.
-                let Ok(mut engine) = made else {
-                    println!(
-                        "{kind:?} {carrier_hz} Hz: {}",
-                        made.err().expect("as before")
-                    );
-                    assert!(tolerance < 5e-4 && duration_s < 1e-3);
-                    continue;
+                let mut engine = match made(&scene, tolerance, SimdLevel::best()) {
+                    Ok(engine) => engine,
+                    // Short pulses with sharp ends have much beside their band. What the refusal names is within reach.
+                    Err(Refusal::TooFine { least, .. }) => {
+                        println!("{kind:?} {carrier_hz} Hz: {least:e} at least");
+                        assert!(duration_s < 1e-3 && least > tolerance && least <= 5e-4);
+                        assert!(made(&scene, least, SimdLevel::best()).is_ok());
+                        continue;
+                    }
+                    Err(refusal) => panic!("{refusal}"),
                 };
                 let (leg, _) = scene.transmit_leg();
                 let count = scene.plan.sample_count;
@@ -443,7 +444,7 @@ fn sweeps_of_any_relative_bandwidth_keep_the_tolerance_until_echoes_are_counted(
         }
     }
     println!("{kept} within the design");
-    assert!(kept >= 70, "{kept}");
+    assert!(kept >= 100, "{kept}");
 }
 
 /// Along 16 elements the direction of an echo changes, and with it the Doppler: not only in proportion to the place.
