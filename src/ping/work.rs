@@ -42,6 +42,7 @@ figures! {
     Pattern "pattern" "... where the element has a pattern";
     Chord "chord" "an insonified scatterer at an element, for each leg of the path that is looked at";
     Newton "newton" "an insonified scatterer at an element on the exact trajectory";
+    Attitude "attitude" "an attitude between two of the track, on the exact trajectory";
     PartElement "part_element" "an element of a part of a line, for each insonified scatterer";
     Quadratic "quadratic" "the second order of an echo's Doppler";
     DirectRun "direct_run" "a run of samples of an echo in `direct`: sines and cosines anew";

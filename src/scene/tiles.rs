@@ -44,7 +44,7 @@ pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
     as u64;
 
 /// Cells whose ranks are drawn together: each draw waits for the one before, and those of other cells fill the time.
-const SORTED_TOGETHER: usize = 16;
+const RANKED_TOGETHER: usize = 16;
 
 /// Distance below which the automatic density is constant, metres.
 pub(crate) const NEAREST_M: f64 = 2.0;
@@ -409,29 +409,30 @@ impl Recipe {
     /// Orders the cells of a block by rank.
     fn sort(&self, id: TileId, block: usize, tile: &mut Tile) {
         let rows = block * CELLS_PER_BLOCK..(block + 1) * CELLS_PER_BLOCK;
-        let mut order: [u64; CELLS_PER_BLOCK] = std::array::from_fn(|cell| cell as u64);
-        if self.levels.thinning.is_some() {
-            for order in order.as_chunks_mut::<SORTED_TOGETHER>().0 {
-                let ranks = widest(
-                    #[inline(always)]
-                    || {
-                        let own = Cells::of_block(id, block, &order.map(|cell| cell as u8));
-                        let mut finest = own;
-                        finest.represent(self.seed, id.level);
-                        own.ranks(self.seed, id.level, &finest)
-                    },
-                );
-                for (order, rank) in order.iter_mut().zip(ranks) {
-                    // The bits of positive numbers have the order of the numbers.
-                    *order |= u64::from(rank.to_bits()) << 8;
-                }
-            }
-            order.sort_unstable();
+        let cells: [u8; CELLS_PER_BLOCK] = std::array::from_fn(|cell| cell as u8);
+        let (to_ranks, to_cells) = (&mut tile.rank[rows.clone()], &mut tile.cell[rows]);
+        if self.levels.thinning.is_none() {
+            to_ranks.fill(0.0);
+            to_cells.copy_from_slice(&cells);
+            return;
         }
-        let ranks = tile.rank[rows.clone()].iter_mut();
-        for ((rank, cell), order) in ranks.zip(&mut tile.cell[rows]).zip(order) {
-            *rank = f32::from_bits((order >> 8) as u32);
-            *cell = order as u8;
+        let mut ranks = [0.0; CELLS_PER_BLOCK];
+        let (together, _) = cells.as_chunks::<RANKED_TOGETHER>();
+        let (to, _) = ranks.as_chunks_mut::<RANKED_TOGETHER>();
+        for (ranks, cells) in to.iter_mut().zip(together) {
+            *ranks = widest(
+                #[inline(always)]
+                || {
+                    let own = Cells::of_block(id, block, cells);
+                    let mut finest = own;
+                    finest.represent(self.seed, id.level);
+                    own.ranks(self.seed, id.level, &finest)
+                },
+            );
+        }
+        for (cell, place) in places_in_order(&ranks).into_iter().enumerate() {
+            to_ranks[place as usize] = ranks[cell];
+            to_cells[place as usize] = cell as u8;
         }
     }
 
@@ -661,6 +662,33 @@ impl<const N: usize> Cells<N> {
         }
         ranks
     }
+}
+
+/// The place of each rank in ascending order; equal ones keep their order. Counts the smaller ones: 64 vector operations for each 16 ranks, and none of
+/// the branches of a sort that are predicted wrong.
+pub(crate) fn places_in_order(ranks: &[f32; CELLS_PER_BLOCK]) -> [u32; CELLS_PER_BLOCK] {
+    // The bits of positive numbers have the order of the numbers.
+    let bits = ranks.map(|rank| rank.to_bits() as i32);
+    let places = widest(
+        #[inline(always)]
+        || {
+            let mut places = [0; CELLS_PER_BLOCK];
+            for other in bits {
+                for (place, own) in places.iter_mut().zip(&bits) {
+                    *place += u32::from(other < *own);
+                }
+            }
+            places
+        },
+    );
+    const ALL_DIFFERENT: u32 = (CELLS_PER_BLOCK * (CELLS_PER_BLOCK - 1) / 2) as u32;
+    if places.iter().sum::<u32>() == ALL_DIFFERENT {
+        return places;
+    }
+    std::array::from_fn(|i| {
+        let equal_before = bits[..i].iter().filter(|other| **other == bits[i]);
+        places[i] + equal_before.count() as u32
+    })
 }
 
 /// Row and column of the cell at a place of the tile, along Morton's curve.

@@ -11,7 +11,9 @@ use super::pool::TilePool;
 use super::read::HeightField;
 use super::seabed::Surface;
 use super::thinning::{self, KeepProbability};
-use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
+use super::tiles::{
+    CELLS_PER_BLOCK, Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId, places_in_order,
+};
 use super::{Files, Scene, SceneError};
 use echotank_config::spec::{
     AnchorSpec, BottomSpec, CrsSpec, Density, HeightSign, IncidenceSpec, MosaicSpec, MosaicValues,
@@ -1124,6 +1126,26 @@ fn ranks_are_uniform_and_halve_with_every_level_that_a_scatterer_is_in() {
         let worst = off.fold(0.0, f64::max) * n.sqrt();
         // Kolmogorov and Smirnov at p = 0.01.
         assert!(worst < 1.63, "level {level}: {worst}");
+    }
+}
+
+#[test]
+fn cells_are_ordered_by_rank_and_equal_ones_by_place() {
+    for different in [2, 7, 1 << 20] {
+        for seed in 0..20_u32 {
+            let ranks: [f32; CELLS_PER_BLOCK] = std::array::from_fn(|i| {
+                let word = (i as u32 + 64 * seed).wrapping_mul(2_654_435_761) >> 8;
+                (1 + word % different) as f32 / different as f32
+            });
+            let mut want: Vec<usize> = (0..CELLS_PER_BLOCK).collect();
+            want.sort_by(|a, b| ranks[*a].total_cmp(&ranks[*b]));
+            let places = places_in_order(&ranks);
+            let mut got = [0; CELLS_PER_BLOCK];
+            for (cell, place) in places.into_iter().enumerate() {
+                got[place as usize] = cell;
+            }
+            assert_eq!(got[..], want[..], "{different} ranks, seed {seed}");
+        }
     }
 }
 

@@ -50,8 +50,13 @@ use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
 const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
-/// What of the tolerance engines may be made for; models and culling have the rest.
-const ENGINE_SHARES: [f64; 3] = [0.8, 0.5, 0.2];
+/// What of the tolerance engines may be made for; models and culling have the rest. If only the finer one keeps the tolerance, a third one is made for
+/// what that one leaves ([`fitted`]).
+const ENGINE_SHARES: [f64; 2] = [0.8, 0.2];
+/// Steps of the third one's tolerance for each doubling: plans on similar pings then find their engines designed.
+const SHARES_PER_DOUBLING: f64 = 4.0;
+/// ... where the models exceed the tolerance by themselves, to compare.
+const SHARE_TO_COMPARE: f64 = 0.5;
 /// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
 const NEARER: f64 = 0.7;
 /// Steps of that distance for each doubling: plans on similar pings then find their engines designed.
@@ -91,6 +96,9 @@ const LEAST_FOR_2D: usize = 150_000;
 /// Time to solve the delay of an echo at a node of a line, many at once, over that at an element of `gridded-1d`: 40 ns were measured with five nodes
 /// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90. On the exact trajectory both take about the same.
 const NODE_PER_ELEMENT: f64 = 0.45;
+/// Attitudes that an echo on the exact trajectory asks for: the search for its delay, and the acceleration over a pulse.
+const ATTITUDES_OF_ROOT: f64 = 2.0;
+const ATTITUDES_OF_MOTION: f64 = 2.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -559,7 +567,7 @@ impl<'a> CandidateBuilder<'a> {
             let of_share = |share: &f64| Some((share * goal.tolerance).max(finest));
             let mut tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
                 (false, _) => vec![None],
-                (true, false) => vec![of_share(&ENGINE_SHARES[1])],
+                (true, false) => vec![of_share(&SHARE_TO_COMPARE)],
                 (true, true) => ENGINE_SHARES.iter().map(of_share).collect(),
             };
             tolerances.dedup();
@@ -578,29 +586,45 @@ impl<'a> CandidateBuilder<'a> {
             self.engine(synthesis, engines[k].0, engines[k].1).is_ok()
         });
         for (doppler, of, tolerances, whole) in wanted {
-            let mut is_made = false;
-            for engine_tolerance in tolerances.into_iter().chain(whole) {
+            let (mut is_made, first) = (false, found.len());
+            for &engine_tolerance in tolerances.iter().chain(&whole) {
                 if is_made && engine_tolerance == Some(goal.tolerance) {
                     continue;
                 }
-                match self.engine(synthesis, doppler, engine_tolerance) {
-                    Ok(engine) => {
-                        is_made = true;
-                        for motion in &of {
-                            let of_engine =
-                                self.on_engine(synthesis, motion, engine_tolerance, &engine);
-                            found.push(of_engine);
-                        }
-                    }
-                    Err(why) => {
-                        let tolerance = engine_tolerance.unwrap_or(goal.tolerance);
-                        let name =
-                            format!("{} {tolerance:.0e}, {}", synthesis.name(), doppler.name());
-                        refused.push((name, why));
-                    }
-                }
+                is_made |=
+                    self.on_tolerance(synthesis, doppler, &of, engine_tolerance, found, refused);
+            }
+            let tolerance = fitted(goal, tolerances[0], &found[first..]);
+            if tolerance.is_some() {
+                self.on_tolerance(synthesis, doppler, &of, tolerance, found, refused);
             }
         }
+    }
+
+    /// Candidates of an engine with this tolerance. Returns whether it can be made.
+    fn on_tolerance(
+        &self,
+        synthesis: Synthesis,
+        doppler: DopplerModel,
+        motions: &[&Motion],
+        engine_tolerance: Option<f64>,
+        found: &mut Vec<Candidate>,
+        refused: &mut Vec<(String, String)>,
+    ) -> bool {
+        let engine = self.engine(synthesis, doppler, engine_tolerance);
+        match &engine {
+            Ok(engine) => found.extend(
+                motions
+                    .iter()
+                    .map(|motion| self.on_engine(synthesis, motion, engine_tolerance, engine)),
+            ),
+            Err(why) => {
+                let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
+                let name = format!("{} {tolerance:.0e}, {}", synthesis.name(), doppler.name());
+                refused.push((name, why.clone()));
+            }
+        }
+        engine.is_ok()
     }
 
     /// Why this ping moves more than an engine is designed for.
@@ -1031,16 +1055,22 @@ impl<'a> CandidateBuilder<'a> {
             PathModel::StopAndHop => 1.0,
             _ => self.walked.chords(motion.segment_s),
         };
-        let newton = match motion.path {
-            PathModel::Continuous => pairs,
-            _ => 0.0,
+        let continuous = motion.path == PathModel::Continuous;
+        let newton = if continuous { pairs } else { 0.0 };
+        let attitudes = match self.scene.plan.trajectory.attitude.len() {
+            0 | 1 => 0.0,
+            _ if motion.doppler == DopplerModel::StretchQuadratic => {
+                newton * (ATTITUDES_OF_ROOT + ATTITUDES_OF_MOTION)
+            }
+            _ => newton * ATTITUDES_OF_ROOT,
         };
         let transmitted = (self.scene.count * spec.transmit.len()) as f64;
         let legs = Work::of(Figure::TransmitLegTerms, transmitted)
             .and(Figure::Pair, pairs)
             .and(Figure::Pattern, pairs * self.walked.patterned)
             .and(Figure::Chord, pairs * chords)
-            .and(Figure::Newton, newton);
+            .and(Figure::Newton, newton)
+            .and(Figure::Attitude, attitudes);
         let second = match motion.doppler {
             DopplerModel::StretchQuadratic => Work::of(Figure::Quadratic, pairs),
             _ => Work::NONE,
@@ -1226,6 +1256,21 @@ impl<'a> CandidateBuilder<'a> {
         });
         pairs.fold(0.0, f64::max)
     }
+}
+
+/// Of candidates that differ in the tolerance of one engine and in their motion: the tolerance at which the cheapest that keeps the goal would just keep
+/// it, if the sum's error grew in proportion. None if it is about as coarse as that of this candidate, or not below `coarsest`.
+fn fitted(goal: Goal, coarsest: Option<f64>, candidates: &[Candidate]) -> Option<f64> {
+    let keeping = candidates.iter().filter(|c| goal.meets(c));
+    let cheapest = keeping.min_by(|a, b| a.cost_ms().total_cmp(&b.cost_ms()))?;
+    let (coarsest, own) = (coarsest?, cheapest.choice.engine_tolerance?);
+    let sum = cheapest.part(Family::Sum).error;
+    let others = cheapest.error().powi(2) - sum.powi(2);
+    let left = (goal.tolerance.powi(2) - others).max(0.0).sqrt();
+    let steps = |times: f64| SHARES_PER_DOUBLING * libm::log2(times);
+    let step = steps(left / sum).floor();
+    let step = step.min(steps(coarsest / own).ceil() - 1.0);
+    (step >= 1.0).then(|| own * libm::exp2(step / SHARES_PER_DOUBLING))
 }
 
 /// What engines are made for: the operator's word where they are the operator's; where they are the plan's, what this ping has, and no farther

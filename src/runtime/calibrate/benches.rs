@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::frames::Trajectory;
+use echotank_core::frames::{AttitudeKnot, Trajectory};
 use echotank_core::navigation::NavState;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -22,7 +22,7 @@ pub(super) struct Bench {
     pub scatterers: Scatterers,
 }
 
-/// Parameters of a benchmark. All arrays lie along the track, 12 m above a flat bottom, at 3 m/s, with omnidirectional transmitters.
+/// Parameters of a benchmark. All arrays lie along the track, 12 m above a flat bottom, at 3 m/s, with omnidirectional transmitters; one platform rolls.
 struct BenchParameters {
     elements: usize,
     patterned: bool,
@@ -36,14 +36,16 @@ struct BenchParameters {
     scatterers: usize,
     tolerance: f64,
     synthesis: &'static str,
+    rolling: bool,
 }
 
-const PARAMETERS: [BenchParameters; 11] = [
+const PARAMETERS: [BenchParameters; 12] = [
     // From many echoes on one element to a fan of 128 elements; tapers of 0 make sharp pulse edges.
     parameters(1, 400.0, 20.0, 1.0, 0.2, 60.0, 60.0, 20_000, 1e-3),
     parameters(1, 200.0, 10.0, 0.5, 0.5, 40.0, 30.0, 100_000, 1e-2),
     parameters(3, 300.0, 8.0, 1.0, 0.2, 40.0, 120.0, 500, 1e-4),
     parameters(4, 200.0, 30.0, 2.0, 0.1, 80.0, 40.0, 4_000, 1e-4).omnidirectional(),
+    parameters(4, 100.0, 10.0, 1.0, 0.2, 30.0, 60.0, 3_000, 1e-3).rolling(),
     parameters(32, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 6_000, 1e-3),
     parameters(32, 100.0, 4.0, 4.0, 0.0, 20.0, 30.0, 1_500, 1e-2),
     parameters(128, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 40_000, 1e-3),
@@ -79,6 +81,7 @@ const fn parameters(
         scatterers,
         tolerance,
         synthesis: "auto",
+        rolling: false,
     }
 }
 
@@ -94,6 +97,11 @@ impl BenchParameters {
 
     const fn unfiltered(mut self) -> Self {
         self.filtered = false;
+        self
+    }
+
+    const fn rolling(mut self) -> Self {
+        self.rolling = true;
         self
     }
 
@@ -179,6 +187,9 @@ error_check = false
         let mut plan = ping::blank(0, &spec, &rig.medium, 0.0);
         plan.trajectory =
             Trajectory::uniform(DVec3::ZERO, DVec3::X * SPEED_M_PER_S, DQuat::IDENTITY);
+        if self.rolling {
+            plan.trajectory.attitude = rolling();
+        }
         let order = PingOrder {
             ping_number: 1,
             transmit_utc: UtcNs(0),
@@ -193,6 +204,21 @@ error_check = false
             plan,
         }
     }
+}
+
+/// Attitudes of a platform that rolls by 5 degrees in 8 s, ten a second.
+fn rolling() -> Vec<AttitudeKnot> {
+    let (peak_rad, per_s) = (5f64.to_radians(), std::f64::consts::TAU / 8.0);
+    let knot = |k: i32| {
+        let time_s = 0.1 * f64::from(k);
+        let (sin, cos) = libm::sincos(per_s * time_s);
+        AttitudeKnot {
+            time_s,
+            world_from_body: DQuat::from_rotation_x(peak_rad * sin),
+            body_rate_rad_per_s: DVec3::X * (peak_rad * per_s * cos),
+        }
+    };
+    (-1..=2).map(knot).collect()
 }
 
 /// `count` scatterers, spread evenly over a disc on the bottom.
@@ -231,8 +257,8 @@ mod tests {
         let mut seen = echotank_ping::work::Work::NONE;
         for (k, bench) in benches().enumerate() {
             assert!(!bench.scatterers.is_empty());
-            // The filtered line array with sharp pulse edges has all of them but those of gridded-2d.
-            if k != 5 && k != PARAMETERS.len() - 1 {
+            // The rolling platform and the filtered line array with sharp pulse edges have all of them but those of gridded-2d.
+            if k != 4 && k != 6 && k != PARAMETERS.len() - 1 {
                 continue;
             }
             let ranking = rank(
