@@ -67,6 +67,8 @@ const QUARTER_SAVES: f64 = 0.6;
 const FARTHEST: f64 = 1e4;
 const NEARER: f64 = 0.9;
 const RANGES: i32 = 120;
+/// ... and halvings of the last step: selection finds an engine to be enough at one range.
+const HALVINGS: u32 = 16;
 /// ... and those of the scatterers of a ping.
 const PING_RANGES: i32 = 24;
 /// Of the error of interpolated delays, the share that is left where squares of receive legs are interpolated: so much, and so many times the speed of the
@@ -628,7 +630,8 @@ impl Design {
             };
             let slab_rows = slab_samples * density.0 / density.1;
             // Rows that the delays of a block spread over, for echoes from 20 degrees: between those of a side-scan's beam and of a wide fan.
-            let block_s = 0.35 * LANES as f64 * array.spacing_m / c;
+            let of_block = array.elements as f64 / array.elements.div_ceil(LANES).max(1) as f64;
+            let block_s = 0.35 * of_block * array.spacing_m / c;
             let rows = width as f64 + block_s * rate_hz * per_sample;
             let step = |columns: &Columns| match moving {
                 false => 0.0,
@@ -937,7 +940,18 @@ impl Design {
         let (half_m, _) = extents_m(array);
         let fits = |range_m: &f64| error_m(*range_m) <= self.path_m;
         let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
-        ranges_m.take_while(fits).last().unwrap_or(f64::INFINITY)
+        let Some(mut enough_m) = ranges_m.take_while(fits).last() else {
+            return f64::INFINITY;
+        };
+        let mut near_m = NEARER * enough_m;
+        for _ in 0..HALVINGS {
+            let middle_m = 0.5 * (near_m + enough_m);
+            match fits(&middle_m) {
+                true => enough_m = middle_m,
+                false => near_m = middle_m,
+            }
+        }
+        enough_m
     }
 
     /// Range from which on each of [`NODES`] is enough along `array`, metres; infinite if none is.

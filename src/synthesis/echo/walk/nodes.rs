@@ -201,6 +201,9 @@ impl NodeTracks {
         let middle = self.nodes / 2;
         // Time from the leading edge to the arrival of mid-pulse, at the gain nodes.
         let mut after_s = [[0.0; CHUNK]; MAX_GAIN_NODES];
+        // At the middle of the line, and at the node that hears the most: near by, patterns point elsewhere at its ends.
+        let (mut near, mut beyond) = ([false; CHUNK], [false; CHUNK]);
+        let mut loudest = [0.0f64; CHUNK];
         let is_coarse = self.nearest_m[b] >= self.coarse_from_m;
         let step = if is_coarse { middle } else { 1 };
         for (node, track) in self.tracks[..self.nodes].iter().enumerate().step_by(step) {
@@ -220,6 +223,7 @@ impl NodeTracks {
                 received.curvature_per_s[..n].fill(0.0);
             }
             let (middle_s, doppler) = (&out.middle_s[node], &mut out.doppler[k]);
+            let loudest = &mut loudest;
             let after_s = &mut after_s[k];
             widest(
                 #[inline(always)]
@@ -232,6 +236,7 @@ impl NodeTracks {
                         let s = 2.0 * half_s / (rate + root);
                         after_s[i] = rays.delay_s[i] - middle_s[i] + s;
                         doppler[i] = received.doppler[i] + 2.0 * curvature * s;
+                        loudest[i] = loudest[i].max(received.level[i]);
                     }
                 },
             );
@@ -240,19 +245,20 @@ impl NodeTracks {
                 out.curvature_per_s = received.curvature_per_s;
                 counts.no_root += odd.no_root * elements;
                 counts.two_roots += odd.two_roots * elements;
-                for (i, amplitude) in transmit_leg.amplitude[span.clone()].iter().enumerate() {
-                    out.amplitude[i] = *amplitude;
-                    // Where the middle of an arc hears nothing, other elements may.
-                    let audible = received.level[i] >= floor || is_arc;
-                    let keep = audible && *amplitude != Complex64::ZERO;
-                    out.keep[i] = keep;
-                    counts.culled += u64::from(!keep) * elements;
-                    let near = received.range_m[i] < receive.one_way.wavelength_m;
-                    counts.too_close += u64::from(keep & near) * elements;
-                    let beyond = rays.delay_s[i] >= track.end_s();
-                    counts.beyond_track += u64::from(keep & beyond) * elements;
+                for i in 0..n {
+                    near[i] = received.range_m[i] < receive.one_way.wavelength_m;
+                    beyond[i] = rays.delay_s[i] >= track.end_s();
                 }
             }
+        }
+        for (i, amplitude) in transmit_leg.amplitude[span].iter().enumerate() {
+            out.amplitude[i] = *amplitude;
+            let audible = loudest[i] >= floor || is_arc;
+            let keep = audible && *amplitude != Complex64::ZERO;
+            out.keep[i] = keep;
+            counts.culled += u64::from(!keep) * elements;
+            counts.too_close += u64::from(keep & near[i]) * elements;
+            counts.beyond_track += u64::from(keep & beyond[i]) * elements;
         }
         if is_coarse {
             let gain_of = |node: usize| node * (self.gain_nodes - 1) / (self.nodes - 1);
