@@ -556,6 +556,58 @@ fn squares_of_receive_legs_are_quadratic_along_the_line_but_for_motion() {
     }
 }
 
+/// Four elements of 27 wavelengths each, at 33 to 40 m: their ends hear what the middle has near a zero of its pattern.
+#[test]
+fn an_echo_is_culled_where_no_node_hears_it() {
+    let drawn = Draw {
+        elements: 4,
+        scatterers: 4000,
+        sector_deg: 10.0,
+        near_m: 33.0,
+        far_m: 40.0,
+        ..SCENE
+    };
+    let mut scene = short(drawn, 0.4e-3, 20e3);
+    scene.tx.pattern = Pattern::Omnidirectional;
+    scene.rx.spacing_m = 0.1;
+    let pattern = Pattern::Rectangle {
+        length_m: 0.1,
+        width_m: 0.0,
+        baffled: false,
+    };
+    let along_m: [f64; 5] = std::array::from_fn(|k| 0.075 * (k as f64 - 2.0));
+    let mut keeps = |cull_db: Option<f64>, pattern: Pattern| {
+        scene.plan.model.cull_db = cull_db;
+        scene.rx.element_pattern = pattern;
+        let (leg, _) = scene.transmit_leg();
+        let mut tracks = NodeTracks::default();
+        tracks.measure(&scene.plan, &scene.rx, &leg, f64::INFINITY);
+        tracks.compute(&scene.plan, &scene.rx, &leg, &along_m, 5, f64::INFINITY);
+        let (mut work, mut out) = (NodeWorkspace::default(), Box::<NodeBatch>::default());
+        let mut all: Vec<(bool, [f64; 5])> = Vec::new();
+        for b in 0..NodeTracks::batches(&leg) {
+            tracks.batch(&scene.plan, &scene.rx, &leg, b, &mut work, &mut out);
+            all.extend(
+                (0..out.len).map(|i| (out.keep[i], std::array::from_fn(|k| out.gain[k][i]))),
+            );
+        }
+        all
+    };
+    const FLOOR: f64 = 0.1;
+    let culled = keeps(Some(-20.0), pattern);
+    let plain = keeps(None, Pattern::Omnidirectional);
+    let mut at_ends_alone = 0;
+    for ((keep, gains), (_, plain)) in culled.iter().zip(&plain) {
+        let level = |k: usize| (gains[k] / plain[k]).abs();
+        let most = (0..5).map(level).fold(0.0, f64::max);
+        if (most / FLOOR - 1.0).abs() > 1e-6 {
+            assert_eq!(*keep, most > FLOOR, "{most}");
+        }
+        at_ends_alone += u32::from(*keep && level(2) < 0.8 * FLOOR);
+    }
+    assert!(at_ends_alone > 50, "{at_ends_alone}");
+}
+
 /// 160 elements on arcs of 57 to 150 degrees.
 #[test]
 fn arcs_keep_their_tolerance_in_every_window() {
