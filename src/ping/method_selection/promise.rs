@@ -12,10 +12,11 @@ use crate::method_selection::echo_statistics::{
 };
 use crate::method_selection::edges::error_of_edges;
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
-use crate::method_selection::sample_fades::{WindowStatistics, are_few, is_sharp};
+use crate::method_selection::sample_fades::{WindowStatistics, are_few};
 use crate::methods::{Candidate, EchoError, Family};
 use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
+use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::scene::Scatterers;
@@ -234,7 +235,7 @@ impl Promise {
         frames: &[ElementFrame],
         ping: &PingPromise,
     ) -> f64 {
-        if !is_sharp(spec, plan) {
+        if spec.receiver.filter == ReceiverFilter::Fir || plan.pulse.taper > 0.0 {
             return 0.0;
         }
         // The beginning of an echo is off by its path alone, its end by more than the phase of a window.

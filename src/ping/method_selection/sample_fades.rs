@@ -397,16 +397,8 @@ impl WindowStatistics {
     }
 
     /// Sums samples and echoes of an element in [`Self::upto`] and [`Self::before`]. `pulse`: the sum of the squares of an echo of unit strength, volts
-    /// squared; `first`: the first sample's number since the ping; `step`: samples of a step; `stride`: samples of a piece, at most; `is_sharp`: echoes
-    /// begin from one sample to the next.
-    fn sum_up(
-        &mut self,
-        signal: &[Complex64],
-        pulse: f64,
-        first: f64,
-        (step, stride): (f64, usize),
-        is_sharp: bool,
-    ) {
+    /// squared; `first`: the first sample's number since the ping; `step`: samples of a step; `stride`: samples of a piece, at most.
+    fn sum_up(&mut self, signal: &[Complex64], pulse: f64, first: f64, step: f64, stride: usize) {
         let Self {
             parts,
             before,
@@ -441,35 +433,19 @@ impl WindowStatistics {
                 true => level / part.energy,
                 false => 1.0,
             };
-            // Sharp echoes sound in full from their first sample on, where two of them may cancel.
-            let is_onset = is_sharp && part.begun > 0.0;
-            let stride = if is_onset { 1 } else { stride };
-            let silent = match is_onset {
-                true => samples
-                    .iter()
-                    .take_while(|x| **x == Complex64::ZERO)
-                    .count(),
-                false => samples.len(),
-            };
-            let so_far = sum;
+            sum.share = 0.0;
             for piece in samples.chunks(stride) {
-                sum.level += piece.iter().map(|x| x.norm_sqr()).sum::<f64>() / pulse;
+                let here = piece.iter().map(|x| x.norm_sqr()).sum::<f64>() / pulse;
+                let share = match level > 0.0 {
+                    true => here / level,
+                    false => piece.len() as f64 / samples.len() as f64,
+                };
                 sum.end += piece.len();
                 (sum.step, sum.next) = (s, step_of(sum.end));
-                let pieces = sum.end - so_far.end;
-                let by_level = match level > 0.0 {
-                    true => (sum.level - so_far.level) / level,
-                    false => pieces as f64 / samples.len() as f64,
-                };
-                let evenly = match pieces.checked_sub(silent) {
-                    Some(heard) if silent < samples.len() => {
-                        heard as f64 / (samples.len() - silent) as f64
-                    }
-                    _ => 0.0,
-                };
-                sum.share = scale * by_level.max(evenly);
-                sum.energy = so_far.energy + sum.share * part.energy;
-                sum.loudest = so_far.loudest + sum.share * part.loudest_here;
+                sum.share += scale * share;
+                sum.level += here;
+                sum.energy += scale * share * part.energy;
+                sum.loudest += scale * share * part.loudest_here;
                 upto.push(sum);
             }
             let heard = if samples.is_empty() { 0.0 } else { scale };
@@ -496,8 +472,7 @@ impl WindowStatistics {
         let step = window as f64 / STEPS as f64;
         let first = plan.first_sample_s * rate_hz;
         let stride = (window / (STEPS * OFFSETS)).max(1);
-        let is_sharp = is_sharp(spec, plan);
-        self.sum_up(signal, pulse, first, (step, stride), is_sharp);
+        self.sum_up(signal, pulse, first, step, stride);
         let pieces = self.upto.as_slice();
         // Windows of the length of a pulse or a little more, from the end of one piece to that of another.
         let windows = || {
@@ -633,11 +608,6 @@ impl WindowStatistics {
     }
 }
 
-/// Whether echoes begin and end from one sample to the next.
-pub(super) fn is_sharp(spec: &SonarSpec, plan: &PingPlan) -> bool {
-    spec.receiver.filter == ReceiverFilter::None && plan.pulse.taper == 0.0
-}
-
 /// So many samples the receiver filter answers before and after an echo.
 fn tail_samples(spec: &SonarSpec) -> f64 {
     match spec.receiver.filter {
@@ -682,38 +652,6 @@ mod tests {
         assert!((farthest_m - (5.0 + 0.01 * (FIRST - 1) as f64)).abs() < 1e-9);
         let next_m = 5.0 + 0.01 * FIRST as f64;
         assert!((next_s * 1500.0 / (0.98 * (2.0 * next_m - 1.0)) - 1.0).abs() < 1e-9);
-    }
-
-    /// Two sharp echoes begin together and cancel in their first samples: these count as evenly as the others of the step.
-    #[test]
-    fn sharp_echoes_sound_in_full_from_their_first_sample() {
-        let part = Part {
-            energy: 2.0,
-            loudest: 1.0,
-            loudest_here: 1.0,
-            begun: 2.0,
-            ..Part::default()
-        };
-        let silent = [Complex64::ZERO; 4];
-        let sounding = [0.0, 0.1, 0.5, 1.0, 1.2, 1.3].map(|x| Complex64::new(x + 1e-3, 0.0));
-        let signal = [&silent[..], &sounding[..]].concat();
-        let mut windows = WindowStatistics {
-            parts: vec![part],
-            ..WindowStatistics::default()
-        };
-        let steps = (signal.len() as f64, 5);
-        windows.sum_up(&signal, 1.0, 0.0, steps, true);
-        assert_eq!(windows.upto.len(), 1 + signal.len());
-        for upto in &windows.upto {
-            let heard = upto.end.saturating_sub(silent.len()) as f64 / sounding.len() as f64;
-            assert!((upto.energy - heard * part.energy).abs() < 1e-12, "{heard}");
-        }
-        // Of smooth ones, samples tell how much of them sounds.
-        windows.sum_up(&signal, 1.0, 0.0, steps, false);
-        let [_, half, whole] = &windows.upto[..] else {
-            panic!("two pieces of five samples");
-        };
-        assert!(half.energy < 1e-5 && (whole.energy - part.energy).abs() < 1e-12);
     }
 
     /// Onsets of one or two echoes in a window, a tenth of each, whose samples are weaker than they are by themselves. Two may cancel, and their errors
