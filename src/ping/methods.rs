@@ -367,6 +367,41 @@ impl Ranking {
     }
 }
 
+/// Steps of a fitted tolerance for each doubling: plans on similar pings then find their engines designed.
+const STEPS_PER_DOUBLING: f64 = 4.0;
+
+/// Of candidates that differ in the tolerance of one engine, from the coarsest to the finest of `tolerances`, and in their motion: the tolerance at which
+/// the cheapest that keeps the goal would just keep it, if the sum's error grew in proportion; where none does, as the finest engine cannot be made, that of
+/// the cheapest that could. None if it is not between the two, or about that of this candidate.
+pub(crate) fn fitted(
+    goal: Goal,
+    tolerances: &[Option<f64>],
+    candidates: &[Candidate],
+) -> Option<f64> {
+    let [coarsest, finest] = [*tolerances.first()?, *tolerances.last()?];
+    let (coarsest, finest) = (coarsest?, finest?);
+    let left = |c: &Candidate| {
+        let others = c.error().powi(2) - c.part(Family::Sum).error.powi(2);
+        (goal.tolerance.powi(2) - others).max(0.0).sqrt()
+    };
+    let cheapest = |keeps: &dyn Fn(&&Candidate) -> bool| {
+        let keeping = candidates.iter().filter(keeps);
+        keeping.min_by(|a, b| a.cost_ms().total_cmp(&b.cost_ms()))
+    };
+    let best = cheapest(&|c| goal.meets(c)).or_else(|| cheapest(&|c| left(c) > 0.0))?;
+    let own = best.choice.engine_tolerance?;
+    let steps = |times: f64| STEPS_PER_DOUBLING * libm::log2(times);
+    let step = steps(left(best) / best.part(Family::Sum).error).floor();
+    let step = step.min(steps(coarsest / own).ceil() - 1.0);
+    let tolerance = own * libm::exp2(step / STEPS_PER_DOUBLING);
+    let is_other = if goal.meets(best) {
+        step >= 1.0
+    } else {
+        step <= -1.0
+    };
+    (is_other && tolerance > finest).then_some(tolerance)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -420,6 +455,43 @@ mod tests {
             tolerance,
             image_cells: None,
         }
+    }
+
+    /// An engine that errs by 0.6 of its tolerance, beside models that err by 6e-3.
+    #[test]
+    fn an_engine_is_fitted_to_what_the_models_leave() {
+        const TOLERANCE: f64 = 1e-2;
+        let on_engine = |tolerance: f64, cost_ms: f64| {
+            let mut candidate = candidate(6e-3, cost_ms);
+            candidate.parts[Family::Sum as usize].error = 0.6 * tolerance;
+            candidate.choice.engine_tolerance = Some(tolerance);
+            candidate
+        };
+        let tolerances = [Some(2e-2), Some(2e-3)];
+        let fit = |candidates: &[Candidate]| fitted(goal(TOLERANCE), &tolerances, candidates);
+        let (coarse, fine) = (on_engine(2e-2, 1.0), on_engine(2e-3, 2.0));
+        let goal = goal(TOLERANCE);
+        assert!(!goal.meets(&coarse) && goal.meets(&fine));
+        for candidates in [
+            vec![coarse.clone(), fine.clone()],
+            // The fine engine cannot be made.
+            vec![coarse.clone()],
+        ] {
+            let tolerance = fit(&candidates).expect("between the two");
+            assert!(goal.meets(&on_engine(tolerance, 1.5)), "{tolerance}");
+            let coarser = tolerance * 2f64.powf(1.0 / STEPS_PER_DOUBLING);
+            assert!(!goal.meets(&on_engine(coarser, 1.5)), "{tolerance}");
+        }
+        // The coarse one is good enough, or the fine one is about what is left, or no engine is.
+        assert_eq!(fit(&[on_engine(1.2e-2, 1.0), fine.clone()]), None);
+        assert_eq!(fit(&[on_engine(1.3e-2, 1.0)]), None);
+        let hopeless = |candidate: &Candidate| {
+            let mut candidate = candidate.clone();
+            candidate.parts[Family::Path as usize].error = 2.0 * TOLERANCE;
+            candidate
+        };
+        assert_eq!(fit(&[hopeless(&coarse), hopeless(&fine)]), None);
+        assert_eq!(fitted(goal, &[None], &[coarse]), None);
     }
 
     #[test]

@@ -31,7 +31,7 @@ use crate::method_selection::parts::{Parting, partings};
 use crate::method_selection::resting::{RestingPing, is_at_rest};
 use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
 use crate::methods::{
-    Candidate, Choice, Displaced, EchoError, Family, Goal, Part, Ranking, choose,
+    Candidate, Choice, Displaced, EchoError, Family, Goal, Part, Ranking, choose, fitted,
 };
 use crate::refraction::refraction_error;
 use crate::work::{Figure, Work};
@@ -53,14 +53,12 @@ const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
 /// What of the tolerance engines may be made for; models and culling have the rest. If only the finer one keeps the tolerance, a third one is made for
 /// what that one leaves ([`fitted`]).
 const ENGINE_SHARES: [f64; 2] = [0.8, 0.2];
-/// Steps of the third one's tolerance for each doubling: plans on similar pings then find their engines designed.
-const SHARES_PER_DOUBLING: f64 = 4.0;
-/// ... where the models exceed the tolerance by themselves, to compare.
+/// ... and where the models exceed the tolerance by themselves, to compare.
 const SHARE_TO_COMPARE: f64 = 0.5;
 /// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
 const NEARER: f64 = 0.7;
-/// ... and lines only where they would interpolate scatterers at this share of that distance too: later pings have nearer ones, for which the direct sum
-/// would take the place of the engine, a hundred times as slow.
+/// ... and lines are selected only where they interpolate scatterers at this share of that distance too: later pings have nearer ones, for which the direct
+/// sum would take the place of the engine, a hundred times as slow.
 const ROOM: f64 = 0.9;
 /// Steps of that distance for each doubling: plans on similar pings then find their engines designed.
 const STEPS_PER_DOUBLING: f64 = 4.0;
@@ -99,8 +97,8 @@ const LEAST_FOR_2D: usize = 150_000;
 /// Time to solve the delay of an echo at a node of a line, many at once, over that at an element of `gridded-1d`: 40 ns were measured with five nodes
 /// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90. On the exact trajectory both take about the same.
 const NODE_PER_ELEMENT: f64 = 0.45;
-/// Attitudes that an echo on the exact trajectory asks for: the search for its delay, and the acceleration over a pulse. Both ask for two, but 38 pings of
-/// `tools/accuracy rigs` took 0.6 to 0.85 times as long as predicted without the acceleration, and 0.8 to 1.1 times with it.
+/// Attitudes that an echo on the exact trajectory asks for: the search for its delay, and the acceleration over a pulse. Both ask for two, but with two for
+/// each, medians of 67 pings of `tools/accuracy rigs` were 0.6 to 0.85 times what is predicted without the acceleration, and 0.6 to 1.1 times with it.
 const ATTITUDES_OF_ROOT: f64 = 1.0;
 const ATTITUDES_OF_MOTION: f64 = 3.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
@@ -721,7 +719,12 @@ impl<'a> CandidateBuilder<'a> {
             made.map(Arc::new).map_err(|why| why.to_string())
         })?;
         let nearest_m = self.conditions.range_m.0;
-        match made.reaches(&spec, ROOM * nearest_m) {
+        let room = if spec.synthesis.auto.synthesis {
+            ROOM
+        } else {
+            1.0
+        };
+        match made.reaches(&spec, room * nearest_m) {
             true => Ok(Engine::Sketched(made)),
             false => Err(format!(
                 "a scatterer {nearest_m:.1} m away is too near for the interpolation along the line"
@@ -1260,34 +1263,6 @@ impl<'a> CandidateBuilder<'a> {
         });
         pairs.fold(0.0, f64::max)
     }
-}
-
-/// Of candidates that differ in the tolerance of one engine, the coarsest or the finest, and in their motion: the tolerance at which the cheapest that keeps
-/// the goal would just keep it, if the sum's error grew in proportion; where none does, as the fine engine cannot be made, that of the cheapest that could.
-/// None if it is not between the two, or about that of this candidate.
-fn fitted(goal: Goal, tolerances: &[Option<f64>], candidates: &[Candidate]) -> Option<f64> {
-    let [coarsest, finest] = [*tolerances.first()?, *tolerances.last()?];
-    let (coarsest, finest) = (coarsest?, finest?);
-    let left = |c: &Candidate| {
-        let others = c.error().powi(2) - c.part(Family::Sum).error.powi(2);
-        (goal.tolerance.powi(2) - others).max(0.0).sqrt()
-    };
-    let cheapest = |keeps: &dyn Fn(&&Candidate) -> bool| {
-        let keeping = candidates.iter().filter(keeps);
-        keeping.min_by(|a, b| a.cost_ms().total_cmp(&b.cost_ms()))
-    };
-    let best = cheapest(&|c| goal.meets(c)).or_else(|| cheapest(&|c| left(c) > 0.0))?;
-    let own = best.choice.engine_tolerance?;
-    let steps = |times: f64| SHARES_PER_DOUBLING * libm::log2(times);
-    let step = steps(left(best) / best.part(Family::Sum).error).floor();
-    let step = step.min(steps(coarsest / own).ceil() - 1.0);
-    let tolerance = own * libm::exp2(step / SHARES_PER_DOUBLING);
-    let is_other = if goal.meets(best) {
-        step >= 1.0
-    } else {
-        step <= -1.0
-    };
-    (is_other && tolerance > finest).then_some(tolerance)
 }
 
 /// What engines are made for: the operator's word where they are the operator's; where they are the plan's, what this ping has, and no farther
