@@ -31,8 +31,8 @@ const MAX_TOTAL: Duration = Duration::from_secs(130);
 const MAX_CONFIGURED: Duration = Duration::from_secs(50);
 /// Time spent on one method. The minimum counts, because disturbances only lengthen a run.
 const PER_METHOD: Duration = Duration::from_millis(150);
-/// Bytes that are written before each run, more than a core's own caches hold: between two pings, the other stages and sonars have used them. Without it,
-/// methods of 1 to 3 ms in `tools/accuracy rigs`, which takes turns with many, took up to 2.2 times their predicted cost.
+/// Bytes that are written before each run, more than a core's own caches hold: between two pings, the other stages and sonars have used them. In
+/// `tools/accuracy rigs`, which takes turns with many methods, small pings took up to 1.9 times as long as right after a run of the same method.
 const EVICTED_BYTES: usize = 8 << 20;
 /// Bytes that a cache keeps together.
 const CACHE_LINE: usize = 64;

@@ -50,18 +50,18 @@ use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
 const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
-/// What of the tolerance engines may be made for; models and culling have the rest. If only the finer one keeps the tolerance, a third one is made for
-/// what that one leaves ([`fitted`]).
+/// What of the tolerance engines may be made for; models and culling have the rest. If the coarser one does not keep the tolerance, a third one is made
+/// for what they leave ([`fitted`]).
 const ENGINE_SHARES: [f64; 2] = [0.8, 0.2];
 /// ... and where the models exceed the tolerance by themselves, to compare.
 const SHARE_TO_COMPARE: f64 = 0.5;
 /// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
 const NEARER: f64 = 0.7;
-/// ... and lines are selected only where they interpolate scatterers at this share of that distance too: later pings have nearer ones, for which the direct
-/// sum would take the place of the engine, a hundred times as slow.
-const ROOM: f64 = 0.9;
 /// Steps of that distance for each doubling: plans on similar pings then find their engines designed.
 const STEPS_PER_DOUBLING: f64 = 4.0;
+/// `gridded-lines` is selected only where it interpolates scatterers at this share of the nearest one's distance too: later pings have nearer ones, for which
+/// the direct sum takes the place of the engine, and is a hundred times as slow.
+const ROOM: f64 = 0.9;
 /// rms closing speeds of all but the rarest echoes lie within so many times their rms.
 const EXTREMES: f64 = 3.0;
 /// A line of `gridded-2d` bears the motion across it that the echoes of a window have, and so much more in some.

@@ -67,10 +67,10 @@ const QUARTER_SAVES: f64 = 0.6;
 const FARTHEST: f64 = 1e4;
 const NEARER: f64 = 0.9;
 const RANGES: i32 = 120;
-/// ... and halvings of the last step: selection finds an engine to be enough at one range.
-const HALVINGS: u32 = 16;
 /// ... and those of the scatterers of a ping.
 const PING_RANGES: i32 = 24;
+/// Halvings of the last step towards the line: selection looks at one range, and must find what the engine finds.
+const HALVINGS: u32 = 16;
 /// Of the error of interpolated delays, the share that is left where squares of receive legs are interpolated: so much, and so many times the speed of the
 /// platform over that of sound.
 const COARSE_SHARE: f64 = 0.02;
