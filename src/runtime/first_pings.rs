@@ -16,7 +16,7 @@ use echotank_core::navigation::NavState;
 use echotank_core::ping::{PingPlan, SceneCounts};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
+use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_ping::footprints::footprints;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{MotionScale, Scene, rank, with_choice};
@@ -24,6 +24,7 @@ use echotank_ping::methods::Ranking;
 use echotank_ping::ping_cost::PingCost;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::rig::PingSlot;
+use echotank_ping::schedule::period_ns;
 use echotank_ping::{self as ping, PingOrder, RangeFloorFinder};
 
 /// Speed assumed without recorded navigation: 5 knots, straight ahead and level.
@@ -40,8 +41,8 @@ pub enum FirstPingError {
     /// The rig cannot be opened.
     #[error(transparent)]
     Rig(#[from] OpenError),
-    /// The navigation has a gap at each of the first pings of the named sonar.
-    #[error("the recorded navigation covers none of the first {TRIES} pings of sonar {0}")]
+    /// The navigation has a gap at each of these pings of the named sonar.
+    #[error("the recorded navigation covers none of {TRIES} successive pings of sonar {0}")]
     Gaps(String),
 }
 
@@ -66,7 +67,7 @@ pub struct FirstPing {
 /// # Errors
 /// The rig cannot be opened, or the navigation covers none of the first 50 pings of a sonar.
 pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingError> {
-    let pings = planned(spec)?;
+    let pings = planned(spec, 0)?;
     let is_supposed = !spec.nav.is_recorded();
     let sonars = spec.sonars.iter().zip(pings);
     Ok(sonars
@@ -185,19 +186,19 @@ struct Planned {
     scene: SceneCounts,
 }
 
-/// First plan of each sonar with the scatterers in its footprint, culled at the configured level.
+/// Plan of each sonar's first ping after the first `passed` ones, with the scatterers in its footprint, culled at the configured level.
 ///
 /// # Errors
 /// See [`first`].
-pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
-    let planned = planned(spec)?.into_iter();
+pub fn pings(spec: &RigSpec, passed: u32) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
+    let planned = planned(spec, passed)?.into_iter();
     Ok(planned.map(|ping| (ping.plan, ping.scatterers)).collect())
 }
 
-fn planned(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
+fn planned(spec: &RigSpec, passed: u32) -> Result<Vec<Planned>, FirstPingError> {
     match RecordedRig::open(&bare(spec)) {
-        Ok(recorded) => recorded_pings(recorded),
-        Err(RecordedError::NoLog) => assumed_pings(&bare(spec)),
+        Ok(recorded) => recorded_pings(recorded, passed),
+        Err(RecordedError::NoLog) => assumed_pings(&bare(spec), passed),
         Err(other) => Err(other.into()),
     }
 }
@@ -217,17 +218,20 @@ fn bare(spec: &RigSpec) -> RigSpec {
     spec
 }
 
-fn recorded_pings(mut recorded: RecordedRig) -> Result<Vec<Planned>, FirstPingError> {
+fn recorded_pings(mut recorded: RecordedRig, passed: u32) -> Result<Vec<Planned>, FirstPingError> {
     let sonars = recorded.rig.sonars.len();
     let mode = recorded.rig.spec.nav.mode;
     let mut found: Vec<Option<Planned>> = (0..sonars).map(|_| None).collect();
     let mut under_way = vec![false; sonars];
-    while let Some((sonar, order)) = recorded.next_order(TRIES) {
+    while let Some((sonar, order)) = recorded.next_order(passed + TRIES) {
         if under_way[sonar] {
             continue;
         }
         if !recorded.settle(sonar, &order) {
             break;
+        }
+        if order.ping_number <= passed {
+            continue;
         }
         let mut slot = recorded.rig.slot(sonar);
         let rig = &mut recorded.rig;
@@ -261,7 +265,7 @@ fn recorded_pings(mut recorded: RecordedRig) -> Result<Vec<Planned>, FirstPingEr
         .collect()
 }
 
-fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
+fn assumed_pings(spec: &RigSpec, passed: u32) -> Result<Vec<Planned>, FirstPingError> {
     let mut rig = crate::rig::open(spec)?;
     let place = rig.scene.geodetic_place().map(|p| (p.north_m, p.east_m));
     let (north_m, east_m) = match (spec.scene.anchor, place) {
@@ -278,7 +282,7 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
         let mut slot = rig.slot(sonar);
         let unit = &rig.sonars[sonar];
         let order = PingOrder {
-            ping_number: 1,
+            ping_number: passed + 1,
             transmit_utc: UtcNs(0),
             settings: SonarSettings {
                 pinging: true,
@@ -287,6 +291,8 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             period_s: 0.0,
         };
         let spec: SonarSpec = unit.spec.clone();
+        let period_ns = period_ns(&spec.settings, rig.medium().sound_speed_m_per_s);
+        let step_m = ASSUMED_M_PER_S * period_ns as f64 / NS_PER_S as f64;
         let mut gather = |at_m: f64, slot: &mut PingSlot| {
             slot.plan.trajectory = Trajectory::uniform(
                 DVec3::new(at_m, 0.0, down_m),
@@ -310,9 +316,8 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
             (slot.plan.clone(), scatterers, scene)
         };
-        let (plan, scatterers, _) = gather(0.0, &mut slot);
-        let period_s = 1.0 / plan.ping_rate_hz;
-        let (_, _, scene) = gather(ASSUMED_M_PER_S * period_s, &mut slot);
+        let (plan, scatterers, _) = gather(f64::from(passed) * step_m, &mut slot);
+        let (_, _, scene) = gather(f64::from(passed + 1) * step_m, &mut slot);
         pings.push(Planned {
             plan,
             scatterers,

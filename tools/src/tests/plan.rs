@@ -126,7 +126,7 @@ impl One {
     fn new(angle_deg: f64, focused: bool, model: &str) -> Self {
         let folder = tempfile::tempdir().expect("folder");
         let rig = rig(folder.path(), angle_deg, focused, model);
-        let (plan, scatterers) = pings(&rig).expect("a ping").swap_remove(0);
+        let (plan, scatterers) = pings(&rig, 0).expect("a ping").swap_remove(0);
         Self {
             rig,
             plan,

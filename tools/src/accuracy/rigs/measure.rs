@@ -27,6 +27,10 @@ const WORTH_TIMING: f64 = 4.0;
 const FINE_REFERENCE: f64 = 0.1;
 /// Maximum number of other candidates.
 const OTHERS: usize = 12;
+/// Times the cheapest choice, up to which a cost counts as near it.
+pub(crate) const NEAR_COST: f64 = 1.3;
+/// Numbers of passed pings after which a candidate that undercuts the selection is measured again: a fixed choice keeps the tolerance in a run, not in one ping.
+const LATER: [u32; 9] = [4, 8, 12, 16, 20, 24, 28, 32, 36];
 
 /// Result of one candidate on one ping.
 #[derive(Clone, Serialize, Deserialize)]
@@ -44,6 +48,17 @@ pub(crate) struct CandidateResult {
     pub(crate) ms: f64,
     /// True if the candidate is predicted to meet the goal.
     pub(crate) promised: bool,
+    /// Largest error on later pings, of candidates that are cheaper than the selection by more than [`NEAR_COST`] without being predicted to meet the
+    /// goal.
+    #[serde(default)]
+    pub(crate) later_error: Option<f64>,
+}
+
+impl CandidateResult {
+    /// True if no measured ping exceeds the tolerance.
+    pub(crate) fn keeps(&self, tolerance: f64) -> bool {
+        self.error <= tolerance && self.later_error.is_none_or(|error| error <= tolerance)
+    }
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -65,13 +80,16 @@ impl Measured {
     pub(crate) fn said(&self) -> String {
         let did = |did: &CandidateResult| {
             format!(
-                "{:.1e} measured{}, {:.1e} predicted ({}), {:.2} ms, {:.2} predicted{}: {}",
+                "{:.1e} measured{}{}, {:.1e} predicted ({}), {:.2} ms, {:.2} predicted{}: {}",
                 did.error,
                 if did.by_error_check {
                     " by error check"
                 } else {
                     ""
                 },
+                did.later_error.map_or_else(String::new, |error| format!(
+                    " ({error:.1e} on later pings)"
+                )),
                 did.predicted_error,
                 did.parts.map(|part| format!("{part:.1e}")).join(" + "),
                 did.ms,
@@ -115,11 +133,11 @@ pub(crate) fn measure(
 ) -> Result<Vec<Measured>, MeasureError> {
     let mut all = Vec::new();
     // The reference includes scatterers that culling removes.
-    let mut whole = rig.clone();
-    for sonar in &mut whole.sonars {
+    let mut uncut = rig.clone();
+    for sonar in &mut uncut.sonars {
         sonar.model.cull_db = None;
     }
-    let whole = pings(&whole)?;
+    let whole = pings(&uncut, 0)?;
     let firsts = rig.sonars.iter().zip(first(rig, costs)?);
     for (sonar, ((spec, first), (_, everything))) in firsts.zip(&whole).enumerate() {
         let Some(ranking) = &first.ranking else {
@@ -128,11 +146,7 @@ pub(crate) fn measure(
         if first.scatterers.is_empty() {
             continue;
         }
-        let mut spec = bare(spec);
-        spec.beams = Default::default();
-        spec.more_pulses.clear();
-        // Errors are measured before the receiver chain.
-        spec.receiver.tvg = TimeVaryingGain::None;
+        let spec = elements_alone(spec);
         let ping = Ping {
             spec: &spec,
             medium: &rig.medium,
@@ -144,11 +158,64 @@ pub(crate) fn measure(
             sonar,
             by_floor: vec![(rig.sonars[sonar].model.cull_db, first.scatterers)],
         };
-        if let Some(measured) = one(&ping, &mut gathered, ranking, time)? {
-            all.push(measured);
+        let Some((mut measured, choices)) = one(&ping, &mut gathered, ranking, time)? else {
+            continue;
+        };
+        let (tolerance, enough_ms) = (measured.tolerance, measured.plan.ms / NEAR_COST);
+        for (other, choice) in measured.others.iter_mut().zip(choices) {
+            let undercuts = other.ms < enough_ms && other.error <= tolerance;
+            if undercuts && !other.promised && !other.by_error_check {
+                let error = later_error(&uncut, rig, sonar, &choice, tolerance)?;
+                other.later_error = Some(error);
+            }
         }
+        all.push(measured);
     }
     Ok(all)
+}
+
+/// The sonar as its element samples are compared: without beams, further pulses and receiver chain.
+fn elements_alone(spec: &SonarSpec) -> SonarSpec {
+    let mut spec = bare(spec);
+    spec.beams = Default::default();
+    spec.more_pulses.clear();
+    spec.receiver.tvg = TimeVaryingGain::None;
+    spec
+}
+
+/// Largest error of a choice on the pings after [`LATER`] ones, or the first one above the tolerance. `uncut` is the rig without culling.
+fn later_error(
+    uncut: &RigSpec,
+    rig: &RigSpec,
+    sonar: usize,
+    choice: &Choice,
+    tolerance: f64,
+) -> Result<f64, MeasureError> {
+    let spec = elements_alone(&rig.sonars[sonar]);
+    let mut culled = rig.clone();
+    culled.sonars[sonar].model.cull_db = choice.model.cull_db;
+    let mut worst: f64 = 0.0;
+    for passed in LATER {
+        let (plan, everything) = pings(uncut, passed)?.swap_remove(sonar);
+        let (_, scatterers) = pings(&culled, passed)?.swap_remove(sonar);
+        let ping = Ping {
+            spec: &spec,
+            medium: &rig.medium,
+            plan: &plan,
+            everything: &everything,
+        };
+        let reference = ReferenceSolution::new(&ping)?;
+        if reference.is_silent() {
+            continue;
+        }
+        let mut runner = Runner::new(&ping, &with_choice(&spec, choice))?;
+        runner.run(&scatterers);
+        worst = worst.max(reference.worst(&runner.output));
+        if worst > tolerance {
+            break;
+        }
+    }
+    Ok(worst)
 }
 
 /// Scatterers of the ping of one sonar, down to the floor of each candidate. A pipeline gathers no more.
@@ -166,7 +233,7 @@ impl Gathered<'_> {
         }
         let mut rig = self.rig.clone();
         rig.sonars[self.sonar].model.cull_db = cull_db;
-        let (_, scatterers) = pings(&rig)?.swap_remove(self.sonar);
+        let (_, scatterers) = pings(&rig, 0)?.swap_remove(self.sonar);
         self.by_floor.push((cull_db, scatterers));
         Ok(self.by_floor.len() - 1)
     }
@@ -209,12 +276,13 @@ impl Runner {
     }
 }
 
+/// Measures the selection and other candidates, whose choices are returned beside.
 fn one(
     ping: &Ping,
     gathered: &mut Gathered,
     ranking: &Ranking,
     time: bool,
-) -> Result<Option<Measured>, MeasureError> {
+) -> Result<Option<(Measured, Vec<Choice>)>, MeasureError> {
     let reference = ReferenceSolution::new(ping)?;
     if reference.is_silent() {
         return Ok(None);
@@ -260,11 +328,12 @@ fn one(
             },
             ms: runner.min_ms,
             promised: ranking.goal.meets(candidate),
+            later_error: None,
         });
     let Some(plan) = did.next() else {
         return Ok(None);
     };
-    Ok(Some(Measured {
+    let measured = Measured {
         sonar: ping.spec.name.clone(),
         tolerance: ranking.goal.tolerance,
         scatterers: gathered.by_floor[runners[0].1].1.len(),
@@ -273,7 +342,9 @@ fn one(
         plan,
         others: did.collect(),
         out_of_reach: !ranking.is_within(),
-    }))
+    };
+    let choices = runners[1..].iter().map(|(other, ..)| other.choice.clone());
+    Ok(Some((measured, choices.collect())))
 }
 
 /// One candidate of every kind, cheapest first: those predicted to meet the goal and, if there is room, some that are not.

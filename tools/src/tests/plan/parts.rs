@@ -231,7 +231,7 @@ struct Ping {
 impl Ping {
     fn of(rig: &Rig) -> Self {
         let (_folder, rig) = rig.open();
-        let (plan, points) = pings(&rig).expect("a ping").swap_remove(0);
+        let (plan, points) = pings(&rig, 0).expect("a ping").swap_remove(0);
         Self { rig, plan, points }
     }
 
