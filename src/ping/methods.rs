@@ -370,9 +370,14 @@ impl Ranking {
 /// Steps of a fitted tolerance for each doubling: plans on similar pings then find their engines designed.
 const STEPS_PER_DOUBLING: f64 = 4.0;
 
+/// Costs of engines grow with this power of the inverse of their tolerance, where one tolerance alone was tried.
+const TYPICAL_POWER: f64 = 0.25;
+/// An engine is made for a fitted tolerance if it seems to cost at most so much of the cheapest that keeps the goal.
+const WORTH_FITTING: f64 = 0.97;
+
 /// Of candidates that differ in the tolerance of one engine, from the coarsest to the finest of `tolerances`, and in their motion: the tolerance at which
-/// the cheapest that keeps the goal would just keep it, if the sum's error grew in proportion; where none does, as the finest engine cannot be made, that of
-/// the cheapest that could. None if it is not between the two, or about that of this candidate.
+/// one of them would just keep the goal, if the sum's error grew in proportion, and would be the cheapest, if the cost is a power of the tolerance. None if it
+/// is not between the two, or if a candidate that keeps the goal costs about as little.
 pub(crate) fn fitted(
     goal: Goal,
     tolerances: &[Option<f64>],
@@ -380,26 +385,32 @@ pub(crate) fn fitted(
 ) -> Option<f64> {
     let [coarsest, finest] = [*tolerances.first()?, *tolerances.last()?];
     let (coarsest, finest) = (coarsest?, finest?);
-    let left = |c: &Candidate| {
+    let kept = candidates.iter().filter(|c| goal.meets(c));
+    let kept_ms = kept.map(Candidate::cost_ms).fold(f64::INFINITY, f64::min);
+    let fits = candidates.iter().filter_map(|c| {
+        let own = c.choice.engine_tolerance?;
         let others = c.error().powi(2) - c.part(Family::Sum).error.powi(2);
-        (goal.tolerance.powi(2) - others).max(0.0).sqrt()
-    };
-    let cheapest = |keeps: &dyn Fn(&&Candidate) -> bool| {
-        let keeping = candidates.iter().filter(keeps);
-        keeping.min_by(|a, b| a.cost_ms().total_cmp(&b.cost_ms()))
-    };
-    let best = cheapest(&|c| goal.meets(c)).or_else(|| cheapest(&|c| left(c) > 0.0))?;
-    let own = best.choice.engine_tolerance?;
-    let steps = |times: f64| STEPS_PER_DOUBLING * libm::log2(times);
-    let step = steps(left(best) / best.part(Family::Sum).error).floor();
-    let step = step.min(steps(coarsest / own).ceil() - 1.0);
-    let tolerance = own * libm::exp2(step / STEPS_PER_DOUBLING);
-    let is_other = if goal.meets(best) {
-        step >= 1.0
-    } else {
-        step <= -1.0
-    };
-    (is_other && tolerance > finest).then_some(tolerance)
+        let left = (goal.tolerance.powi(2) - others).max(0.0).sqrt();
+        let step = (STEPS_PER_DOUBLING * libm::log2(left / c.part(Family::Sum).error)).floor();
+        let tolerance = own * libm::exp2(step / STEPS_PER_DOUBLING);
+        if !(tolerance > finest && tolerance < coarsest) {
+            return None;
+        }
+        // The same on the other engine.
+        let other = candidates.iter().find(|other| {
+            other.choice.model == c.choice.model && other.choice.engine_tolerance != Some(own)
+        });
+        let power = match other.and_then(|other| Some((other, other.choice.engine_tolerance?))) {
+            Some((other, its)) => {
+                let power = (other.cost_ms() / c.cost_ms()).ln() / (own / its).ln();
+                power.max(0.0)
+            }
+            None => TYPICAL_POWER,
+        };
+        Some((tolerance, c.cost_ms() * (own / tolerance).powf(power)))
+    });
+    let (tolerance, ms) = fits.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (ms <= WORTH_FITTING * kept_ms).then_some(tolerance)
 }
 
 #[cfg(test)]

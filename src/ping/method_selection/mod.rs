@@ -59,6 +59,7 @@ const SHARE_TO_COMPARE: f64 = 0.5;
 const NEARER: f64 = 0.7;
 /// Steps of that distance for each doubling: plans on similar pings then find their engines designed.
 const STEPS_PER_DOUBLING: f64 = 4.0;
+const STEPS_OF_LINES: f64 = 8.0;
 /// `gridded-lines` is selected only where it interpolates scatterers at this share of the nearest one's distance too: later pings have nearer ones, for which
 /// the direct sum takes the place of the engine, and is a hundred times as slow.
 const ROOM: f64 = 0.9;
@@ -699,7 +700,7 @@ impl<'a> CandidateBuilder<'a> {
         // The steps of a polyline are for the configuration to refuse.
         spec.model.path = PathModel::KSegment;
         spec.synthesis.engine_tolerance = engine_tolerance;
-        spec.synthesis.nearest_m = self.nearest_m;
+        spec.synthesis.nearest_m = self.nearest_of(synthesis);
         let c = self.scene.medium.sound_speed_m_per_s;
         let filter = || receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string());
         let fastest = FASTEST_PLATFORM_M_PER_S;
@@ -711,7 +712,7 @@ impl<'a> CandidateBuilder<'a> {
             synthesis,
             doppler,
             engine_tolerance.map(f64::to_bits),
-            [self.nearest_m, plan.pulse.duration_s].map(f64::to_bits),
+            [spec.synthesis.nearest_m, plan.pulse.duration_s].map(f64::to_bits),
             plan.sample_count,
         );
         let made = self.memo.sketch(key, || {
@@ -729,6 +730,14 @@ impl<'a> CandidateBuilder<'a> {
             false => Err(format!(
                 "a scatterer {nearest_m:.1} m away is too near for the interpolation along the line"
             )),
+        }
+    }
+
+    /// Range for which an engine is made, metres. That of `gridded-lines` reaches [`ROOM`], which may cost it accuracy elsewhere.
+    fn nearest_of(&self, synthesis: Synthesis) -> f64 {
+        match synthesis == Synthesis::GriddedLines && self.scene.spec.synthesis.auto.synthesis {
+            true => stepped_m(ROOM * self.conditions.range_m.0, STEPS_OF_LINES),
+            false => self.nearest_m,
         }
     }
 
@@ -1129,7 +1138,7 @@ impl<'a> CandidateBuilder<'a> {
             choice: Choice {
                 model,
                 engine_tolerance,
-                nearest_m: self.nearest_m,
+                nearest_m: self.nearest_of(synthesis),
                 part_elements: self.parting.map_or(1, |parting| parting.of),
             },
             parts: [
@@ -1273,10 +1282,13 @@ fn nearest_m(spec: &SonarSpec, nearest_heard_m: f64) -> f64 {
     match spec.synthesis.selects_methods()
         && (auto.synthesis || spec.model.synthesis != Synthesis::Gridded2d)
     {
-        true => {
-            let steps = STEPS_PER_DOUBLING * libm::log2(NEARER * nearest_heard_m);
-            libm::exp2(steps.floor() / STEPS_PER_DOUBLING).min(said_m.max(5.0))
-        }
+        true => stepped_m(NEARER * nearest_heard_m, STEPS_PER_DOUBLING).min(said_m.max(5.0)),
         false => said_m,
     }
+}
+
+/// The greatest range of so many for each doubling that does not exceed `range_m`.
+fn stepped_m(range_m: f64, steps_per_doubling: f64) -> f64 {
+    let steps = steps_per_doubling * libm::log2(range_m);
+    libm::exp2(steps.floor() / steps_per_doubling)
 }

@@ -25,8 +25,8 @@ use super::nodes::{
 use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
 use super::windows::{KernelErrors, MORE, SingleEcho, noise_factor, worst, worst_of_even};
 
-/// Share of the tolerance, as energy, that the interpolation along the line may use at most.
-const PATH_SHARE: f64 = 0.1;
+/// Share of the tolerance, as energy, that the interpolation along the line may use: so much, and up to the second where the nearest scatterers ask for it.
+const PATH_SHARES: [f64; 2] = [0.1, 0.4];
 /// Share of the tolerance, as energy, that the change of the Doppler during the pulse may use, with three taps and more.
 const CURVATURE_SHARE: f64 = 0.1;
 /// Shares of the tolerance, as energy, that the change of the Doppler along a block may use: its second order where weights do not follow it, and its third,
@@ -35,6 +35,8 @@ const STRAIGHT_SHARE: f64 = 0.04;
 const SWING_SHARE: f64 = 0.25;
 /// Share of the tolerance, as energy, that echoes with a Doppler beyond all columns may use.
 pub(super) const BEYOND_SHARE: f64 = 0.05;
+/// Range from which on scatterers change their Doppler as those at this range, metres: a platform comes nearer before its engine is made anew.
+const CURVED_M: f64 = 5.0;
 /// Shares of the tolerance, as energy, to try for the columns.
 const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
 /// Frequencies of a cosine flank, in inverses of its length: beyond it they are a thirtieth of those of an edge.
@@ -541,7 +543,8 @@ impl Design {
             tolerance,
             ..
         } = *spec;
-        let path_error = tolerance * PATH_SHARE.sqrt();
+        let path_share = path_share(spec);
+        let path_error = tolerance * path_share.sqrt();
         let beyond_error = match spec.doppler {
             DopplerModel::None => 0.0,
             _ => tolerance * BEYOND_SHARE.sqrt(),
@@ -600,7 +603,7 @@ impl Design {
             fading,
             curvature_per_s: match spec.doppler {
                 DopplerModel::StretchQuadratic => {
-                    spec.fastest_m_per_s.powi(2) / (spec.nearest_m * c)
+                    spec.fastest_m_per_s.powi(2) / (spec.nearest_m.min(CURVED_M) * c)
                 }
                 _ => 0.0,
             },
@@ -683,7 +686,7 @@ impl Design {
                 true => steep,
                 false => flat,
             };
-            let rest = 1.0 - PATH_SHARE - COLUMN_SHARES[0] - CURVATURE_SHARE - BEYOND_SHARE;
+            let rest = 1.0 - path_share - COLUMN_SHARES[0] - CURVATURE_SHARE - BEYOND_SHARE;
             finest = finest.min(kernel_error / rest.sqrt());
             for columns in &candidates {
                 let others = kernel_error
@@ -904,9 +907,7 @@ impl Design {
 
     /// Largest error of a path length that is interpolated from so many nodes along `array`, with that of the gains; metres.
     fn path_error_m(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> f64 {
-        let places: Vec<f64> = places(counts.delays).collect();
-        let [along_m, block_m] = delay_errors_m(&places, array, range_m);
-        (along_m + block_m).hypot(self.gains_as_path_m(counts.gains, array, range_m))
+        path_error_m(counts, array, range_m, self.wavelength_m)
     }
 
     /// The same where delays are solved at the [`coarse`] nodes only, and found at the others from squares of receive legs, which are no polynomials
@@ -919,20 +920,7 @@ impl Design {
         let [of_few_m, _] = delay_errors_m(&coarse(&all), array, range_m);
         let [along_m, block_m] = delay_errors_m(&all, array, range_m);
         let path_m = self.coarse_share * of_few_m + along_m + block_m;
-        path_m.hypot(self.gains_as_path_m(COARSE, array, range_m))
-    }
-
-    /// The error of gains, as a path whose phase errs as much.
-    fn gains_as_path_m(&self, gains: usize, array: &ArrayGeometry, range_m: f64) -> f64 {
-        let (half_m, block_m) = extents_m(array);
-        let element_m = match array.element_pattern {
-            Pattern::Rectangle { length_m, .. } => length_m,
-            Pattern::Omnidirectional | Pattern::Part { .. } => 0.0,
-        };
-        let of = [element_m, self.wavelength_m];
-        let gain_error = gain_error(gains, of, (half_m, array.radius_m), block_m, range_m)
-            + spreading_error(gains, half_m, block_m, range_m);
-        gain_error * self.wavelength_m / TAU
+        path_m.hypot(gains_as_path_m(COARSE, array, range_m, self.wavelength_m))
     }
 
     /// Range from which on the error is small enough along `array`, metres; infinite if it never is.
@@ -967,6 +955,36 @@ impl Design {
             self.enough_from_m(array, |range_m| self.coarse_error_m(counts, array, range_m))
         })
     }
+}
+
+/// Largest error of a path length that is interpolated from so many nodes along `array`, with that of the gains; metres.
+fn path_error_m(counts: NodeCounts, array: &ArrayGeometry, range_m: f64, wavelength_m: f64) -> f64 {
+    let places: Vec<f64> = places(counts.delays).collect();
+    let [along_m, block_m] = delay_errors_m(&places, array, range_m);
+    let gains_m = gains_as_path_m(counts.gains, array, range_m, wavelength_m);
+    (along_m + block_m).hypot(gains_m)
+}
+
+/// The error of gains, as a path whose phase errs as much.
+fn gains_as_path_m(gains: usize, array: &ArrayGeometry, range_m: f64, wavelength_m: f64) -> f64 {
+    let (half_m, block_m) = extents_m(array);
+    let element_m = match array.element_pattern {
+        Pattern::Rectangle { length_m, .. } => length_m,
+        Pattern::Omnidirectional | Pattern::Part { .. } => 0.0,
+    };
+    let of = [element_m, wavelength_m];
+    let gain_error = gain_error(gains, of, (half_m, array.radius_m), block_m, range_m)
+        + spreading_error(gains, half_m, block_m, range_m);
+    gain_error * wavelength_m / TAU
+}
+
+/// Share of the tolerance, as energy, with which scatterers at the smallest range are interpolated, within [`PATH_SHARES`].
+fn path_share(spec: &Spec) -> f64 {
+    let wavelength_m = spec.sound_speed_m_per_s / spec.pulse.center_frequency_hz;
+    let errors = NODES.map(|counts| path_error_m(counts, spec.array, spec.nearest_m, wavelength_m));
+    let least_rad = TAU / wavelength_m * errors.into_iter().fold(f64::INFINITY, f64::min);
+    let [least, most] = PATH_SHARES;
+    (least_rad / spec.tolerance).powi(2).clamp(least, most)
 }
 
 /// Of delays at `places`, as paths: along the line, and over a block.
