@@ -375,9 +375,9 @@ const TYPICAL_POWER: f64 = 0.25;
 /// An engine is made for a fitted tolerance if it seems to cost at most so much of the cheapest that keeps the goal.
 const WORTH_FITTING: f64 = 0.97;
 
-/// Of candidates that differ in the tolerance of one engine, from the coarsest to the finest of `tolerances`, and in their motion: the tolerance at which
-/// one of them would just keep the goal, if the sum's error grew in proportion, and would be the cheapest, if the cost is a power of the tolerance. None if it
-/// is not between the two, or if a candidate that keeps the goal costs about as little.
+/// Of candidates that differ in the tolerance of one engine and in their motion: the tolerance at which one of them would just keep the goal, if the sum's
+/// error grew in proportion, and would be the cheapest, if the cost is a power of the tolerance. None if it is not between the coarsest and the finest of
+/// `tolerances`, if a candidate has it, or if one that keeps the goal costs about as little.
 pub(crate) fn fitted(
     goal: Goal,
     tolerances: &[Option<f64>],
@@ -393,14 +393,19 @@ pub(crate) fn fitted(
         let left = (goal.tolerance.powi(2) - others).max(0.0).sqrt();
         let step = (STEPS_PER_DOUBLING * libm::log2(left / c.part(Family::Sum).error)).floor();
         let tolerance = own * libm::exp2(step / STEPS_PER_DOUBLING);
-        if !(tolerance > finest && tolerance < coarsest) {
+        if step == 0.0 || !(tolerance > finest && tolerance < coarsest) {
             return None;
         }
-        // The same on the other engine.
-        let other = candidates.iter().find(|other| {
-            other.choice.model == c.choice.model && other.choice.engine_tolerance != Some(own)
-        });
-        let power = match other.and_then(|other| Some((other, other.choice.engine_tolerance?))) {
+        // The same on other engines, of which a nearer one tells more.
+        let off = |its: f64| (its / tolerance).ln().abs();
+        let same = candidates
+            .iter()
+            .filter(|other| other.choice.model == c.choice.model);
+        let others = same.filter_map(|other| Some((other, other.choice.engine_tolerance?)));
+        let others = others.filter(|(_, its)| *its != own);
+        let nearest = others.min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+        let power = match nearest {
+            Some((_, its)) if off(its) < off(own) => return None,
             Some((other, its)) => {
                 let power = (other.cost_ms() / c.cost_ms()).ln() / (own / its).ln();
                 power.max(0.0)
@@ -472,12 +477,13 @@ mod tests {
     #[test]
     fn an_engine_is_fitted_to_what_the_models_leave() {
         const TOLERANCE: f64 = 1e-2;
-        let on_engine = |tolerance: f64, cost_ms: f64| {
-            let mut candidate = candidate(6e-3, cost_ms);
+        let with_path = |path: f64, tolerance: f64, cost_ms: f64| {
+            let mut candidate = candidate(path, cost_ms);
             candidate.parts[Family::Sum as usize].error = 0.6 * tolerance;
             candidate.choice.engine_tolerance = Some(tolerance);
             candidate
         };
+        let on_engine = |tolerance: f64, cost_ms: f64| with_path(6e-3, tolerance, cost_ms);
         let tolerances = [Some(2e-2), Some(2e-3)];
         let fit = |candidates: &[Candidate]| fitted(goal(TOLERANCE), &tolerances, candidates);
         let (coarse, fine) = (on_engine(2e-2, 1.0), on_engine(2e-3, 2.0));
@@ -493,6 +499,17 @@ mod tests {
             let coarser = tolerance * 2f64.powf(1.0 / STEPS_PER_DOUBLING);
             assert!(!goal.meets(&on_engine(coarser, 1.5)), "{tolerance}");
         }
+        // A path that costs more and errs less leaves room for a coarser and cheaper engine.
+        let fine_path = [with_path(2e-3, 2e-2, 1.05), with_path(2e-3, 2e-3, 2.05)];
+        let both = [vec![coarse.clone(), fine.clone()], fine_path.to_vec()].concat();
+        let tolerance = fit(&both).expect("between the two");
+        assert!(goal.meets(&with_path(2e-3, tolerance, 1.5)), "{tolerance}");
+        assert!(!goal.meets(&on_engine(tolerance, 1.5)), "{tolerance}");
+        // An engine that errs by more than in proportion: a finer one.
+        let mut short = on_engine(1.2e-2, 1.1);
+        short.parts[Family::Sum as usize].error = 8.5e-3;
+        let tolerance = fit(&[coarse.clone(), fine.clone(), short]).expect("finer");
+        assert!((9e-3..1.1e-2).contains(&tolerance), "{tolerance}");
         // The coarse one is good enough, or the fine one is about what is left, or no engine is.
         assert_eq!(fit(&[on_engine(1.2e-2, 1.0), fine.clone()]), None);
         assert_eq!(fit(&[on_engine(1.3e-2, 1.0)]), None);

@@ -50,9 +50,9 @@ use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
 const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
-/// What of the tolerance engines may be made for; models and culling have the rest. If the coarser one does not keep the tolerance, a third one is made
-/// for what they leave ([`fitted`]).
+/// What of the tolerance engines may be made for; models and culling have the rest. Up to so many more are made for what those leave ([`fitted`]).
 const ENGINE_SHARES: [f64; 2] = [0.8, 0.2];
+const FITS: usize = 2;
 /// ... and where the models exceed the tolerance by themselves, to compare.
 const SHARE_TO_COMPARE: f64 = 0.5;
 /// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
@@ -597,9 +597,13 @@ impl<'a> CandidateBuilder<'a> {
                 is_made |=
                     self.on_tolerance(synthesis, doppler, &of, engine_tolerance, found, refused);
             }
-            let tolerance = fitted(goal, &tolerances, &found[first..]);
-            if tolerance.is_some() {
-                self.on_tolerance(synthesis, doppler, &of, tolerance, found, refused);
+            for _ in 0..FITS {
+                let tolerance = fitted(goal, &tolerances, &found[first..]);
+                let is_fitted = tolerance.is_some()
+                    && self.on_tolerance(synthesis, doppler, &of, tolerance, found, refused);
+                if !is_fitted {
+                    break;
+                }
             }
         }
     }

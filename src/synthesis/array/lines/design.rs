@@ -55,8 +55,7 @@ const MIN_SLAB: usize = 192;
 const MAX_SLAB: usize = 8192;
 /// Samples of a slab of which a few columns fit the second-level cache.
 const CACHED_SLAB: f64 = 768.0;
-/// Costs, nanoseconds of one core. Those of an echo: without Doppler, and with it. Those of inner loops depend on the vectors ([`LoopCosts`]).
-const ECHO_NS: [f64; 2] = [60.0, 110.0];
+/// Costs, nanoseconds of one core. Those of an echo and of inner loops depend on the vectors ([`LoopCosts`]).
 const NODE_NS: f64 = 8.0;
 /// Per sample and element of the output.
 const SAMPLE_NS: f64 = 3.0;
@@ -266,9 +265,10 @@ pub struct LineMotion {
     pub curvature_per_s: f64,
 }
 
-/// Costs of the inner loops, nanoseconds of one core: per echo and block, per row of it, and per tap of a row; of a transform per row and log2 of the rows,
-/// to columns and back.
+/// Costs of the inner loops, nanoseconds of one core: per echo, without Doppler and with that of both orders; per echo and block, per row of it, and per tap of a
+/// row; of a transform per row and log2 of the rows, to columns and back.
 struct LoopCosts {
+    echo_ns: [f64; 3],
     block_ns: f64,
     row_ns: f64,
     tap_ns: f64,
@@ -282,6 +282,7 @@ impl LoopCosts {
     fn of(simd_level: SimdLevel) -> Self {
         match simd_level.kind() {
             Kind::Avx512 => Self {
+                echo_ns: [60.0, 85.0, 100.0],
                 block_ns: 16.0,
                 row_ns: 1.6,
                 tap_ns: 1.3,
@@ -289,6 +290,7 @@ impl LoopCosts {
                 back_ns: 1.6,
             },
             _ => Self {
+                echo_ns: [60.0, 110.0, 110.0],
                 block_ns: 14.0,
                 row_ns: 3.4,
                 tap_ns: 3.9,
@@ -641,11 +643,16 @@ impl Design {
                 true => columns.turn_rad / turn_per_stretch,
             };
             let costs = LoopCosts::of(spec.simd_level);
+            let order = match spec.doppler {
+                DopplerModel::None => 0,
+                DopplerModel::StretchQuadratic => 2,
+                _ => 1,
+            };
             let lanes = cell_lanes(lanes_for(array.elements)) as f64;
             let effort = |columns: &Columns| {
                 let transform = |n: usize, ns: f64| blocks * ns * n as f64 * (n as f64).log2();
                 Effort {
-                    echo_ns: ECHO_NS[usize::from(moving)] + blocks * costs.block_ns,
+                    echo_ns: costs.echo_ns[order] + blocks * costs.block_ns,
                     rows_ns: blocks * rows * costs.row_ns,
                     echo_taps: blocks * rows * columns.taps as f64,
                     tap_ns: costs.tap_ns,
