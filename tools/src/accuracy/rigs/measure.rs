@@ -343,7 +343,7 @@ fn one(
         others: did.collect(),
         out_of_reach: !ranking.is_within(),
     };
-    let choices = runners[1..].iter().map(|(other, ..)| other.choice.clone());
+    let choices = runners[1..].iter().map(|(other, ..)| other.choice);
     Ok(Some((measured, choices.collect())))
 }
 
