@@ -225,6 +225,29 @@ fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
 }
 
 /// Nodes are chosen by the distance from the array, which may lie far from the transmitter.
+/// 20 elements of 25 mm: for scatterers 5 m away more of the tolerance is left to the interpolation, and what the whole engine predicts stays within it.
+#[test]
+fn an_engine_for_near_scatterers_interpolates_them() {
+    const TOLERANCE: f64 = 5e-3;
+    let scene = short(SCENE, 0.4e-3, 0.0);
+    let array = ArrayGeometry {
+        elements: 20,
+        spacing_m: 0.025,
+        ..scene.rx.clone()
+    };
+    let design = |nearest_m: f64| {
+        let asked = Spec {
+            nearest_m,
+            ..spec(&scene, &array, TOLERANCE)
+        };
+        Design::new(&asked).expect("a kernel is fine enough")
+    };
+    let (near, far) = (design(5.0), design(50.0));
+    assert!(far.nodes(&array, 50.0).is_some() && far.nodes(&array, 5.0).is_none());
+    assert!(near.nodes(&array, 5.0).is_some());
+    assert!(near.error_model().error <= TOLERANCE);
+}
+
 #[test]
 fn scatterers_near_the_array_and_far_from_the_transmitter_keep_the_tolerance() {
     let drawn = Draw {
