@@ -196,7 +196,11 @@ fn later_error(
     culled.sonars[sonar].model.cull_db = choice.model.cull_db;
     let mut worst: f64 = 0.0;
     for passed in LATER {
-        let (plan, everything) = pings(uncut, passed)?.swap_remove(sonar);
+        let (plan, everything) = match pings(uncut, passed) {
+            // The log ends.
+            Err(FirstPingError::Gaps(_)) => break,
+            planned => planned?.swap_remove(sonar),
+        };
         let (_, scatterers) = pings(&culled, passed)?.swap_remove(sonar);
         let ping = Ping {
             spec: &spec,
