@@ -370,7 +370,7 @@ impl Ranking {
 /// Steps of a fitted tolerance for each doubling: plans on similar pings then find their engines designed.
 const STEPS_PER_DOUBLING: f64 = 4.0;
 
-/// Costs of engines grow with this power of the inverse of their tolerance, where one tolerance alone was tried.
+/// Costs of engines are assumed to grow with this power of the inverse of their tolerance, where one tolerance alone was tried.
 const TYPICAL_POWER: f64 = 0.25;
 /// An engine is made for a fitted tolerance if it seems to cost at most so much of the cheapest that keeps the goal.
 const WORTH_FITTING: f64 = 0.97;

@@ -50,8 +50,9 @@ use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
 const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
-/// What of the tolerance engines may be made for; models and culling have the rest. Up to so many more are made for what those leave ([`fitted`]).
+/// What of the tolerance engines may be made for; models and culling have the rest.
 const ENGINE_SHARES: [f64; 2] = [0.8, 0.2];
+/// Up to so many more are made for what models and culling leave ([`fitted`]).
 const FITS: usize = 2;
 /// ... and where the models exceed the tolerance by themselves, to compare.
 const SHARE_TO_COMPARE: f64 = 0.5;
@@ -59,6 +60,7 @@ const SHARE_TO_COMPARE: f64 = 0.5;
 const NEARER: f64 = 0.7;
 /// Steps of that distance for each doubling: plans on similar pings then find their engines designed.
 const STEPS_PER_DOUBLING: f64 = 4.0;
+/// ... and of that of lines, which come close to [`ROOM`].
 const STEPS_OF_LINES: f64 = 8.0;
 /// `gridded-lines` is selected only where it interpolates scatterers at this share of the nearest one's distance too: later pings have nearer ones, for which
 /// the direct sum takes the place of the engine, and is a hundred times as slow.

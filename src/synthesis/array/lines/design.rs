@@ -277,7 +277,8 @@ struct LoopCosts {
 }
 
 impl LoopCosts {
-    /// AVX-512: set between two processors by `tools/bench rates` on lines of 8, 16, 20 and 256 elements. Others: a fit to 328 random pings of 2 to 256
+    /// AVX-512: set between two processors by `tools/bench rates` on lines of 8, 16, 20 and 256 elements; those of an echo with Doppler on an AMD EPYC by
+    /// `tools/accuracy rigs`. Others: a fit to 328 random pings of 2 to 256
     /// elements on an AMD EPYC with AVX2.
     fn of(simd_level: SimdLevel) -> Self {
         match simd_level.kind() {

@@ -224,30 +224,47 @@ fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
     assert_eq!(design.nodes(&scene.rx, 5.0), None);
 }
 
-/// Nodes are chosen by the distance from the array, which may lie far from the transmitter.
-/// 20 elements of 25 mm: for scatterers 5 m away more of the tolerance is left to the interpolation, and what the whole engine predicts stays within it.
+/// 20 elements of 25 mm some 5 m above a bottom: an engine for such scatterers leaves more of the tolerance to the interpolation, and keeps it. One for
+/// scatterers 50 m away leaves the near ones to the direct sum.
 #[test]
 fn an_engine_for_near_scatterers_interpolates_them() {
-    const TOLERANCE: f64 = 5e-3;
-    let scene = short(SCENE, 0.4e-3, 0.0);
-    let array = ArrayGeometry {
+    let drawn = Draw {
         elements: 20,
-        spacing_m: 0.025,
-        ..scene.rx.clone()
+        velocity_m_per_s: DVec3::new(1.0, 0.3, 0.3),
+        ..SCENE
     };
-    let design = |nearest_m: f64| {
-        let asked = Spec {
+    let mut scene = short(drawn, 0.4e-3, 0.0);
+    let earlier_s = 0.5 * scene.plan.first_sample_s;
+    scene.plan.first_sample_s -= earlier_s;
+    scene.plan.sample_count += (earlier_s * RATE_HZ) as usize;
+    scene.rx.spacing_m = 0.025;
+    scene.rx.mounting.position_m = scene.scatterers.position_m(0) - DVec3::new(0.0, 0.0, 5.3);
+    let tolerance = 5e-3;
+    let (leg, _) = scene.transmit_leg();
+    let count = scene.plan.sample_count;
+    let mut iq = vec![Complex64::ONE; scene.rx.elements * count];
+    let mut beyond = |nearest_m: f64, iq: &mut [Complex64]| {
+        let mut engine = GriddedLines::new(&Spec {
             nearest_m,
-            ..spec(&scene, &array, TOLERANCE)
-        };
-        Design::new(&asked).expect("a kernel is fine enough")
+            ..spec(&scene, &scene.rx, tolerance)
+        })
+        .expect("within reach");
+        engine.synthesise(&scene.plan, &leg, iq).beyond_engine
     };
-    let (near, far) = (design(5.0), design(50.0));
-    assert!(far.nodes(&array, 50.0).is_some() && far.nodes(&array, 5.0).is_none());
-    assert!(near.nodes(&array, 5.0).is_some());
-    assert!(near.error_model().error <= TOLERANCE);
+    assert!(beyond(50.0, &mut iq) > 0);
+    assert_eq!(beyond(5.0, &mut iq), 0);
+    for element in [0, 9, 19] {
+        let error = worst(
+            &iq[element * count..][..count],
+            &truth(&scene, element, false),
+            0.4e-3,
+        );
+        println!("element {element}: {error:.1e}");
+        assert!(error <= tolerance, "element {element}: {error:e}");
+    }
 }
 
+/// Nodes are chosen by the distance from the array, which may lie far from the transmitter.
 #[test]
 fn scatterers_near_the_array_and_far_from_the_transmitter_keep_the_tolerance() {
     let drawn = Draw {
