@@ -243,7 +243,7 @@ fn an_engine_for_near_scatterers_interpolates_them() {
     let (leg, _) = scene.transmit_leg();
     let count = scene.plan.sample_count;
     let mut iq = vec![Complex64::ONE; scene.rx.elements * count];
-    let mut beyond = |nearest_m: f64, iq: &mut [Complex64]| {
+    let beyond = |nearest_m: f64, iq: &mut [Complex64]| {
         let mut engine = GriddedLines::new(&Spec {
             nearest_m,
             ..spec(&scene, &scene.rx, tolerance)
