@@ -75,10 +75,9 @@ static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
     fading
 });
 
-/// From this tolerance on, the check stops at twice the sample rate to either side. Beyond that,
-/// the stop band of a receiver filter passes 4e-6 of a window in noise for a sharp tone (random
-/// scene 61 of `tools/accuracy sweep`).
-const NEAR_TOLERANCE: f64 = 3e-5;
+/// From this tolerance on, the choice of a band looks at twice the sample rate to either side. Beyond that, the stop band of a receiver filter passes
+/// 4e-5 to 6e-5 of the worst window of a sharp tone; predictions look at all that [`WIDEST`] covers.
+const NEAR_TOLERANCE: f64 = 1e-4;
 
 /// Multiples of the sample rate allowed for the band, and the reach of the check to either side of
 /// the carrier, in sample rates. The reach is twice the widest band, or the widest band if the
@@ -86,9 +85,12 @@ const NEAR_TOLERANCE: f64 = 3e-5;
 fn reach(spec: &Spec) -> (usize, f64) {
     match spec.filter.is_some() && spec.tolerance >= NEAR_TOLERANCE {
         true => (MAX_BANDS / 2, 0.25 * MAX_BANDS as f64),
-        false => (MAX_BANDS, MAX_BANDS as f64),
+        false => (MAX_BANDS, WIDEST),
     }
 }
+
+/// Reach of predictions to either side of the carrier, in sample rates.
+pub(super) const WIDEST: f64 = MAX_BANDS as f64;
 
 /// Reach of the check to either side of the carrier, in sample rates.
 pub(super) fn widest(spec: &Spec) -> f64 {

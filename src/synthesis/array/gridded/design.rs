@@ -14,7 +14,7 @@ use echotank_core::model::DopplerModel;
 use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
 use echotank_core::simd::SimdLevel;
 
-use super::band::{Band, band, widest};
+use super::band::{Band, WIDEST, band, widest};
 use super::batched_fft::lanes_for;
 use super::choose::{
     NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, Trials,
@@ -183,12 +183,11 @@ impl Design {
             turned_rad: curvature_rad,
             tolerance: asked.tolerance,
         })?;
-        let highest_hz =
-            ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
+        let highest_hz = ((WIDEST + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
         let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
         // The single-echo error in every window determines the design.
-        let alone = SingleEcho::new(asked, span, &spectrum);
+        let alone = SingleEcho::new(asked, span, &spectrum, widest(asked));
         let kept = band(asked, &alone)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
@@ -254,11 +253,11 @@ impl Design {
 
         // The cost of moments does not depend on the width; the cost of direct spreading does.
         let has_one_column = terms.iter().all(|term| term.grid.columns == 1);
-        let widest = match (has_one_column, M::MOMENTS) {
+        let max_width = match (has_one_column, M::MOMENTS) {
             (false, 8) => 8,
             _ => MAX_WIDTH,
         };
-        let (grid, kernel) = delay_kernel::<M>(spec, bins, widest, |grid, kernel| {
+        let (grid, kernel) = delay_kernel::<M>(spec, bins, max_width, |grid, kernel| {
             alone.kernel(kernel, &kept, grid as f64 / period_s).worst / weakening
         })
         .ok_or_else(|| unreachable(DELAY_KERNEL))?;
@@ -270,16 +269,16 @@ impl Design {
             false => term_rad * curvature_rad / (count + 1) as f64,
         };
         // What is promised refers to the noise floor of the contract.
-        let promised = SingleEcho::new(
-            &Spec {
-                level_range_db: asked.level_range_db.min(FLOOR_BELOW_STRONGEST_DB),
-                ..*asked
-            },
-            span,
-            &spectrum,
-        );
-        let of_kernel = promised.kernel(&kernel, &kept, grid as f64 / period_s);
-        let of_band = promised.left_out(&kept);
+        let promised = Spec {
+            level_range_db: asked.level_range_db.min(FLOOR_BELOW_STRONGEST_DB),
+            ..*asked
+        };
+        let beyond = SingleEcho::new(&promised, span, &spectrum, WIDEST);
+        let of_band = beyond.left_out(&kept);
+        let promised = SingleEcho::new(&promised, span, &spectrum, widest(asked));
+        let grid_hz = grid as f64 / period_s;
+        let of_kernel = promised.kernel(&kernel, &kept, grid_hz);
+        let of_rounding = promised.rounding(&kernel, &kept, grid_hz, grid_rounding);
         let of_terms = (fit_error2 - doppler.error.powi(2)).max(0.0).sqrt();
         let mut of_doppler = match terms[0].grid.columns {
             1 => EchoErrors::default(),
@@ -291,8 +290,8 @@ impl Design {
             of_doppler.mean = of_doppler.mean.max(doppler.error);
         }
         let all = |error: fn(&EchoErrors) -> f64| {
-            let of_fits = [of_kernel, of_doppler, of_band].map(|of| error(&of));
-            let others = [of_terms, rounding, series];
+            let of_fits = [of_kernel, of_doppler, of_band, of_rounding].map(|of| error(&of));
+            let others = [of_terms, series];
             of_fits.into_iter().chain(others).fold(0.0, f64::hypot)
         };
         let single_echo = EchoErrors {
@@ -371,7 +370,7 @@ impl Design {
             simd_level: SimdLevel::best(),
         };
         let of_others = [self.grid_rounding, everywhere];
-        SingleEcho::new(&spec, span, &self.spectrum).profile(
+        SingleEcho::new(&spec, span, &self.spectrum, widest(&spec)).profile(
             &self.kernel,
             &self.band,
             self.grid_hz(),

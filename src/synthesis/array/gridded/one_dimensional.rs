@@ -857,8 +857,9 @@ fn add_folded_plain<G: Real>(
 mod tests {
     use super::*;
     use crate::array::Direct;
+    use crate::array::windows::exact_echo;
     use crate::arrivals::CHUNK;
-    use echotank_core::pulse::PulseKind;
+    use echotank_core::pulse::{MIN_WINDOW, PulseKind, noise_share};
     use echotank_core::testing::plan_at_rest;
 
     const RATE_HZ: f64 = 40e3;
@@ -1066,6 +1067,72 @@ mod tests {
                 assert!(error <= predicted, "{error:e} > {predicted:e}: {why}");
                 assert!(predicted <= 10.0 * error, "{predicted:e}, {error:e}: {why}");
                 assert!(engine.mean_error() <= predicted, "{why}");
+            }
+        }
+    }
+
+    /// Echoes behind the receiver filter that begin anywhere between two samples: the last samples of a window may be all that it holds of an echo. Sharp
+    /// pulses are refused at the finest tolerances. At the ends of the span of Dopplers the errors are as elsewhere.
+    #[test]
+    fn the_worst_window_of_an_echo_is_predicted_from_its_samples() {
+        const PLACES: usize = 8;
+        const FIRST: f64 = 300.0;
+        const LAST: usize = 500;
+        for (kind, taper, sounding) in [
+            (PulseKind::Cw, 0.5, 11.3),
+            (PulseKind::Cw, 0.0, 18.8),
+            (PulseKind::Cw, 0.0, 60.0),
+            (PulseKind::Cw, 1.0, 5.0),
+            (PulseKind::Cw, 0.25, 40.0),
+            (PulseKind::LfmUp, 0.0, 30.0),
+            (PulseKind::LfmUp, 0.25, 60.0),
+            (PulseKind::LfmDown, 1.0, 100.0),
+        ] {
+            let pulse = Pulse {
+                duration_s: sounding / RATE_HZ,
+                ..pulse(kind, taper)
+            };
+            let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
+            let window = sounding.ceil().max(MIN_WINDOW) as usize;
+            let energies = |samples: &[Complex64]| -> Vec<f64> {
+                let windows = samples[..LAST + window].windows(window);
+                let energy = |w: &[Complex64]| w.iter().map(|x| x.norm_sqr()).sum();
+                windows.map(energy).collect()
+            };
+            for tolerance in [1e-2, 1e-3, 1e-4, 1e-5, 1e-7] {
+                let engine = match Gridded1d::new(&Spec {
+                    tolerance,
+                    ..spec(&pulse, Some(&filter), SIDESCAN)
+                }) {
+                    Ok(engine) => engine,
+                    Err(_) if taper == 0.0 && tolerance < 1e-4 => continue,
+                    Err(error) => panic!("{kind:?} {taper} {sounding} {tolerance:e}: {error}"),
+                };
+                let mut worst: f64 = 0.0;
+                for doppler in [SIDESCAN.least, 0.3e-3, SIDESCAN.greatest] {
+                    for place in (0..PLACES).map(|k| k as f64 / PLACES as f64) {
+                        let mut chunk = ArrivalChunk::new();
+                        chunk.len = 1;
+                        chunk.delay_s[0] = FIRST_S + (FIRST + place) / RATE_HZ;
+                        chunk.doppler[0] = doppler;
+                        chunk.amplitude[0] = Complex64::ONE;
+                        let mut want = vec![Complex64::ZERO; SAMPLES];
+                        exact_echo(&pulse, &filter, &chunk, FIRST_S, &mut want);
+                        let got = synthesised(&engine, SIDESCAN, &[chunk]);
+                        let off: Vec<_> = got.iter().zip(&want).map(|(g, w)| g - w).collect();
+                        let levels = energies(&want);
+                        let noise = levels.iter().copied().fold(0.0, f64::max) * noise_share();
+                        let shares = energies(&off).into_iter().zip(levels);
+                        worst = shares.fold(worst, |worst, (off, level)| {
+                            worst.max((off / level.max(noise)).sqrt())
+                        });
+                    }
+                }
+                let predicted = engine.single_echo_error();
+                let of = format!("{kind:?} {taper} {sounding} {tolerance:e}");
+                println!("{of}: {worst:.2e}, predicted {predicted:.2e}");
+                assert!(worst <= 1.35 * predicted, "{of}: {worst:e} {predicted:e}");
+                assert!(predicted <= 2.0 * worst, "{of}: {worst:e} {predicted:e}");
             }
         }
     }

@@ -402,9 +402,12 @@ impl<T: Real> Columns<T> {
         beyond: &mut [T; BLOCK],
     ) {
         let first = columns.start as u32;
-        let most = (columns.len() - self.grid.taps) as u32;
-        let last = (self.table.len() * self.grid.cells - 1) as f64;
         let per_cell = self.table.len() as f64;
+        // Entries of the columns that there are, halfway to the neighbours of the first and the last: rounding at an end of the ping's span selects none else.
+        let cells = columns.len() - self.grid.taps + 1;
+        let least = columns.start as f64 * per_cell - 0.5;
+        let greatest = (columns.start + cells) as f64 * per_cell - 0.5;
+        let greatest = greatest - greatest * f64::EPSILON;
         let (per_doppler, offset) = (
             self.grid.per_doppler * per_cell,
             self.grid.offset * per_cell,
@@ -417,13 +420,11 @@ impl<T: Real> Columns<T> {
             // Entries count from the start of the span. Rounding half an entry earlier truncates, and
             // the low bits of the sum are the index.
             let position = (points.doppler[j] * per_doppler + offset - 0.5)
-                .max(-0.5)
-                .min(last + 0.499);
+                .max(least)
+                .min(greatest);
             let rounded = position + ROUND;
             let number = rounded.to_bits() as u32;
-            // Rounding at the end of the ping's span must not select a missing column.
-            let column = (number >> shift).max(first) - first;
-            points.column[j] = column.min(most);
+            points.column[j] = (number >> shift) - first;
             entry[j] = number & mask;
             beyond[j] = T::narrow((position - (rounded - ROUND)) * (2.0 / per_cell));
         }

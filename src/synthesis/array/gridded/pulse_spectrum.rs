@@ -196,17 +196,17 @@ fn gauss_legendre() -> ([f64; PANEL_NODES], [f64; PANEL_NODES]) {
     (places, weights)
 }
 
-/// Energies of the signal of a spectrum in windows of `length` samples, cyclic over its period.
-pub fn energies(mut spectrum: Vec<Complex64>, length: usize) -> Vec<f64> {
+/// Energies of the samples of a spectrum's signal in windows of `window` samples, cyclic over its period. The signal has `density` values for each
+/// sample, and a window begins at each of them: samples may lie anywhere on an onset.
+pub fn energies(mut spectrum: Vec<Complex64>, window: usize, density: usize) -> Vec<f64> {
     f64::plan_inverse(spectrum.len()).process(&mut spectrum);
     let count = spectrum.len();
-    let length = length.min(count);
-    let mut sums = Vec::with_capacity(count + length + 1);
-    let mut sum = 0.0;
-    sums.push(sum);
+    let length = window.min(count / density) * density;
+    // Over every `density`-th value before one.
+    let mut sums = vec![0.0; density];
+    sums.reserve(count + length);
     for k in 0..count + length {
-        sum += spectrum[k % count].norm_sqr();
-        sums.push(sum);
+        sums.push(sums[k] + spectrum[k % count].norm_sqr());
     }
     (0..count)
         .map(|k| (sums[k + length] - sums[k]).max(0.0))

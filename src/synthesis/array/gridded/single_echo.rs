@@ -13,7 +13,7 @@ use crate::array::phasor::cis;
 use echotank_core::pulse::MIN_WINDOW;
 use echotank_fft::Planned;
 
-use super::band::{Band, widest};
+use super::band::Band;
 use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};
 use super::kernel::Kernel;
 use super::one_dimensional::Spec;
@@ -33,7 +33,7 @@ const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 const PROFILE_PLACES: [f64; 11] = [-1.0, -0.8, -0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
 
 /// Tested positions across a cell of the Doppler grid.
-const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
+const ACROSS: [f64; 6] = [0.0, 0.2, 0.45, 0.7, 0.95, 1.0];
 
 /// Number of tested cells at an end of a Doppler grid. Further cells have little effect.
 const END_CELLS: usize = 12;
@@ -70,21 +70,27 @@ pub(super) struct SingleEcho {
     spectra: Vec<Vec<Complex64>>,
     /// Energies of the echoes in all windows. The energy of the noise is the minimum.
     windows: Vec<Vec<f64>>,
-    length: usize,
-    /// Instants per sample.
+    /// Samples of a window, and instants per sample.
+    window: usize,
     density: usize,
     /// Energy of the noise in a window relative to the strongest window.
     noise: f64,
 }
 
 impl SingleEcho {
-    pub(super) fn new(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum) -> Self {
+    /// `widest`: the frequencies looked at, to either side of the carrier, in sample rates.
+    pub(super) fn new(
+        spec: &Spec,
+        span: DopplerSpan,
+        spectrum: &PulseSpectrum,
+        widest: f64,
+    ) -> Self {
         let (pulse, rate_hz) = (spec.pulse, spec.sample_rate_hz);
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
         let window_s = pulse.duration_s.max(MIN_WINDOW / rate_hz);
         let echo_s = pulse.duration_s / (1.0 + span.least.min(0.0)) + 2.0 * filter_s;
         let min_s = 2.0 * (echo_s + window_s);
-        let dense_hz = 2.0 * widest(spec) * rate_hz;
+        let dense_hz = 2.0 * widest * rate_hz;
         let count = grid_size((min_s * dense_hz).ceil() as usize);
         let step_hz = dense_hz / count as f64;
         let frequency_hz: Vec<f64> = (0..count)
@@ -108,19 +114,20 @@ impl SingleEcho {
                     .collect()
             })
             .collect();
-        let length = (window_s * dense_hz).ceil() as usize;
+        let density = (2.0 * widest) as usize;
+        let window = (window_s * rate_hz).ceil() as usize;
         let noise = 10f64.powf(-spec.level_range_db.min(DEEPEST_DB) / 10.0);
         let windows = spectra
             .iter()
-            .map(|spectrum| sizes(spectrum, length, noise))
+            .map(|spectrum| sizes(spectrum, (window, density), noise))
             .collect();
         Self {
             frequency_hz,
             gain,
             spectra,
             windows,
-            length,
-            density: (2.0 * widest(spec)) as usize,
+            window,
+            density,
             noise,
         }
     }
@@ -154,6 +161,64 @@ impl SingleEcho {
         EchoErrors::of(PLACES.into_iter().map(at))
     }
 
+    /// Rounding errors of the grid values of an echo, which are echoes at these values. `rounding`: rms rounding error of a number, relative to it.
+    pub(super) fn rounding(
+        &self,
+        kernel: &Kernel,
+        band: &Band,
+        grid_hz: f64,
+        rounding: f64,
+    ) -> EchoErrors {
+        let (window, density) = (self.window, self.density);
+        let echoes = self.spectra.iter().zip(&self.windows);
+        EchoErrors::of(echoes.map(|(spectrum, windows)| {
+            let mut off = vec![0.0; windows.len()];
+            let mut rest = 0.0;
+            for i in 0..kernel.width {
+                let value = self.rounded_value(spectrum, (kernel, i), band, grid_hz, rounding);
+                rest += value.iter().map(|x| x.norm_sqr()).sum::<f64>();
+                for (off, energy) in off.iter_mut().zip(energies(value, window, density)) {
+                    *off += energy;
+                }
+            }
+            let all: f64 = spectrum.iter().map(|x| x.norm_sqr()).sum();
+            let shares = off.iter().zip(windows).map(|(off, size)| off / size);
+            EchoErrors {
+                worst: shares.fold(0.0, f64::max).sqrt(),
+                mean: (rest / all.max(f64::MIN_POSITIVE)).sqrt(),
+            }
+        }))
+    }
+
+    /// Spectrum of the rounding error of grid value `i` of an echo. A value is a sum of powers, whose terms each round.
+    fn rounded_value(
+        &self,
+        echo: &[Complex64],
+        (kernel, i): (&Kernel, usize),
+        band: &Band,
+        grid_hz: f64,
+        rounding: f64,
+    ) -> Vec<Complex64> {
+        let middle = 0.5 * (kernel.width - 1) as f64;
+        let terms = PROFILE_PLACES
+            .iter()
+            .flat_map(|x| (0..kernel.moments).map(move |k| kernel.weight(k, i) * x.powi(k as i32)));
+        let term2 = terms.map(|term| term * term).sum::<f64>() / PROFILE_PLACES.len() as f64;
+        let size = rounding * term2.sqrt();
+        let bins = self.frequency_hz.iter().zip(echo);
+        let error = bins.map(|(&f_hz, echo)| {
+            let nu = f_hz / grid_hz;
+            match band.gain(f_hz) {
+                0.0 => Complex64::ZERO,
+                kept => {
+                    let turned = wave(nu * (i as f64 - middle));
+                    echo * turned * (kept * size / kernel.window_gain(nu))
+                }
+            }
+        });
+        error.collect()
+    }
+
     /// Errors of a fit over the Dopplers of `grid`, within `band`. They are largest at the ends of the
     /// grid. For a long grid, each end is tested separately.
     pub(super) fn dopplers(
@@ -179,6 +244,7 @@ impl SingleEcho {
         used.sort_unstable();
         used.dedup();
         let columns = templates(grid, received, &used, &self.frequency_hz, &kept);
+        let of = (self.window, self.density);
         let at = |share: f64| {
             let (doppler, first, weights) = grid.at(share);
             let echo = self.frequency_hz.iter();
@@ -195,7 +261,7 @@ impl SingleEcho {
             let heard: Vec<Complex64> = echo.iter().zip(&self.gain).map(|(s, g)| s * g).collect();
             EchoErrors {
                 mean: rms_ratio(&rest, &heard),
-                worst: worst(rest, &sizes(&heard, self.length, self.noise), self.length),
+                worst: worst(rest, &sizes(&heard, of, self.noise), of),
             }
         };
         let shares: Vec<f64> = cells
@@ -244,28 +310,10 @@ impl SingleEcho {
             });
             instants(error.collect())
         };
-        // Rounding errors of the grid values of an echo are echoes at these values. A value is a sum of powers, whose terms each round.
-        let term2 = |i: usize| -> f64 {
-            let terms = PROFILE_PLACES.iter().flat_map(|x| {
-                (0..kernel.moments).map(move |k| kernel.weight(k, i) * x.powi(k as i32))
-            });
-            terms.map(|term| term * term).sum::<f64>() / PROFILE_PLACES.len() as f64
-        };
         let mut squares = vec![0.0; at_rest.len()];
         for i in 0..kernel.width {
-            let size = rounding * term2(i).sqrt();
-            let bins = self.frequency_hz.iter().zip(at_rest);
-            let error = bins.map(|(&f_hz, echo)| {
-                let nu = f_hz / grid_hz;
-                match band.gain(f_hz) {
-                    0.0 => Complex64::ZERO,
-                    kept => {
-                        let turned = wave(nu * (i as f64 - middle));
-                        echo * turned * (kept * size / kernel.window_gain(nu))
-                    }
-                }
-            });
-            for (square, value) in squares.iter_mut().zip(instants(error.collect())) {
+            let value = self.rounded_value(at_rest, (kernel, i), band, grid_hz, rounding);
+            for (square, value) in squares.iter_mut().zip(instants(value)) {
                 *square += value.norm_sqr();
             }
         }
@@ -291,15 +339,15 @@ impl SingleEcho {
                 .collect();
             EchoErrors {
                 mean: rms_ratio(&rest, spectrum),
-                worst: worst(rest, windows, self.length),
+                worst: worst(rest, windows, (self.window, self.density)),
             }
         }))
     }
 }
 
-/// Energies of an echo in all windows of `length` samples. The energy of the noise is the minimum.
-fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
-    let mut windows = energies(spectrum.to_vec(), length);
+/// Energies of an echo in all windows of so many samples, with so many instants each. The energy of the noise is the minimum.
+fn sizes(spectrum: &[Complex64], (window, density): (usize, usize), noise: f64) -> Vec<f64> {
+    let mut windows = energies(spectrum.to_vec(), window, density);
     let strongest = windows.iter().copied().fold(0.0, f64::max);
     windows
         .iter_mut()
@@ -308,8 +356,8 @@ fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
 }
 
 /// Largest ratio of the windowed energy of the spectrum `rest` to `windows`.
-fn worst(rest: Vec<Complex64>, windows: &[f64], length: usize) -> f64 {
-    let off = energies(rest, length);
+fn worst(rest: Vec<Complex64>, windows: &[f64], (window, density): (usize, usize)) -> f64 {
+    let off = energies(rest, window, density);
     let shares = off.iter().zip(windows).map(|(off, size)| off / size);
     shares.fold(0.0, f64::max).sqrt()
 }

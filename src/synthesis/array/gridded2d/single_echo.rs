@@ -84,7 +84,7 @@ impl SingleEcho {
         let windows = spectra
             .iter()
             .map(|spectrum| {
-                let windows = energies(spectrum.clone(), length);
+                let windows = energies(spectrum.clone(), length, 1);
                 let strongest = windows.iter().copied().fold(0.0, f64::max);
                 (windows, strongest)
             })
@@ -185,7 +185,7 @@ impl SingleEcho {
         let mut worst: f64 = 0.0;
         for (spectrum, (windows, strongest)) in self.spectra.iter().zip(&self.windows) {
             let rest = spectrum.iter().zip(off).map(|(s, off)| s * off).collect();
-            for (off, size) in energies(rest, self.length).iter().zip(windows) {
+            for (off, size) in energies(rest, self.length, 1).iter().zip(windows) {
                 worst = worst.max(off / size.max(noise * strongest));
             }
         }
