@@ -10,6 +10,7 @@
 use crate::work::Work;
 use echotank_core::model::{ModelChoice, Synthesis};
 use echotank_synthesis::array::cut_echoes;
+use echotank_synthesis::error_model::EchoStatistics;
 
 /// One of the choices that make up a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -144,20 +145,18 @@ impl EchoError {
         })
     }
 
-    /// In the worst window of a ping that is not made, `fading` as in [`EchoStatistics`](echotank_synthesis::error_model::EchoStatistics).
+    /// In the worst window of a ping that is not made, `fading` as in [`EchoStatistics`].
     pub(crate) fn before_ping(self, fading: f64) -> f64 {
         self.window.max(fading * self.mean).min(self.most)
     }
 
-    /// ... and of one that is, `tails` as there: the ends of echoes have no more than these as a whole. Of two that end together, the errors add.
-    pub(crate) fn of_ping(self, fading: f64, tails: f64) -> f64 {
-        let of_ends = (TWO.max(cut_echoes(tails)) * self.window).min(tails * self.mean);
-        of_ends.max(fading * self.mean).min(self.most)
+    /// ... and of one that is: the ends of echoes have no more than these as a whole.
+    pub(crate) fn of_ping(self, heard: &EchoStatistics) -> f64 {
+        let of_ends = heard.ends.max(cut_echoes(heard.tails)) * self.window;
+        let of_ends = of_ends.min(heard.tails * self.mean);
+        of_ends.max(heard.fading * self.mean).min(self.most)
     }
 }
-
-/// Errors of two echoes with random phases, over that of one.
-const TWO: f64 = std::f64::consts::SQRT_2;
 
 impl Candidate {
     /// Upper bound of the relative error of element samples. The errors of path and Doppler are phases of the same echo, and add. The others are

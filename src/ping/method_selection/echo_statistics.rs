@@ -5,6 +5,7 @@
 //! points and targets are all used.
 
 use std::cell::{Cell, RefCell};
+use std::f64::consts::SQRT_2;
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -460,6 +461,7 @@ pub fn echo_statistics(
             + (spread(plan, window_s, windows * elements, crowd) - 1.0) * (1.0 - 1.0 / crowd),
         fading,
         tails: f64::INFINITY,
+        ends: SQRT_2,
         off_path_m: None,
         off_velocity_m_per_s: None,
         echoes: prominent.by_error[PROMINENCES - 1],

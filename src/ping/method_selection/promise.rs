@@ -283,7 +283,7 @@ impl Promise {
         if is_direct {
             ping.sum = sum_of_direct(ping);
         } else if let Some(echo) = self.echo_error {
-            ping.sum = echo.of_ping(heard.fading, heard.tails);
+            ping.sum = echo.of_ping(&heard);
         } else if !self.synthesis.keeps_tolerance() {
             ping.sum = sum_error_model(self.synthesis, spec, plan, &ping.conditions).error;
         }

@@ -46,6 +46,8 @@ const PAIRS: usize = 3000;
 const LOOKS: f64 = 3.0;
 /// With fewer echoes than this in a window, some pair of them may keep its phase difference in all of it.
 const FEW: f64 = 8.0;
+/// A window with less than this share of the energies of its echoes holds no more than their ends.
+const ENDS: f64 = 0.25;
 /// Degrees of freedom of the energy of echoes that keep their phase differences.
 const OF_FEW: f64 = 1.0;
 
@@ -87,6 +89,7 @@ struct Worst {
     amounts: [f64; TRACKED],
     fading: f64,
     tails: f64,
+    ends: f64,
 }
 
 /// What is known of windows with many echoes.
@@ -222,6 +225,7 @@ impl WindowStatistics {
         }
         let mut worst = Worst {
             fading: OVERLAPPING,
+            ends: predicted.ends,
             ..Worst::default()
         };
         self.amounts.clear();
@@ -282,6 +286,7 @@ impl WindowStatistics {
         let mut statistics = EchoStatistics {
             fading: worst.fading,
             tails: worst.tails,
+            ends: worst.ends,
             off_path_m: Some(worst.amounts[OFF_PATH]),
             off_velocity_m_per_s: Some(worst.amounts[OFF_VELOCITY]),
             ..predicted
@@ -497,7 +502,7 @@ impl WindowStatistics {
         let tail = tail_samples(spec);
         let ago = ((plan.pulse.duration_s * rate_hz + tail) / step).ceil() as usize;
         let ahead = (tail / step).ceil() as usize;
-        let mut tails2 = 0.0f64;
+        let (mut tails2, mut ends2) = (0.0f64, 0.0f64);
         // Of the windows that end in one step, the one that fades the most.
         let mut deepest: Option<(f64, (&Upto, &Upto))> = None;
         let mut amounts = std::mem::take(&mut self.amounts);
@@ -508,7 +513,11 @@ impl WindowStatistics {
             let since = from.next.saturating_sub(ago);
             let begun = self.before[until].begun - self.before[since].begun;
             tails2 = tails2.max(begun / against);
-            let ratio = (to.energy - from.energy) / against;
+            let energy = to.energy - from.energy;
+            let ratio = energy / against;
+            if energy < ENDS * begun {
+                ends2 = ends2.max(ratio);
+            }
             if let Some((_, window)) = deepest.take_if(|(_, (_, last))| last.step != to.step) {
                 amounts.extend(self.amounts_of(window, (floor, peaks), bounds, worst));
             }
@@ -521,6 +530,7 @@ impl WindowStatistics {
         }
         self.amounts = amounts;
         worst.tails = worst.tails.max(OVERLAPPING * tails2.sqrt());
+        worst.ends = worst.ends.max(ends2.sqrt());
         self.find_ends(floor, energies, worst);
     }
 

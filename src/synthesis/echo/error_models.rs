@@ -520,6 +520,7 @@ mod tests {
                 spread: 1.0,
                 fading: 1.0,
                 tails: 1.0,
+                ends: 1.0,
                 off_path_m: Some(0.0),
                 off_velocity_m_per_s: Some(0.0),
                 echoes: 1.0,

@@ -187,7 +187,7 @@ impl Design {
         let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
         // The single-echo error in every window determines the design.
-        let alone = SingleEcho::new(asked, span, &spectrum, widest(asked));
+        let alone = SingleEcho::for_design(asked, span, &spectrum, widest(asked));
         let kept = band(asked, &alone)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
@@ -273,9 +273,9 @@ impl Design {
             level_range_db: asked.level_range_db.min(FLOOR_BELOW_STRONGEST_DB),
             ..*asked
         };
-        let beyond = SingleEcho::new(&promised, span, &spectrum, WIDEST);
+        let beyond = SingleEcho::for_prediction(&promised, span, &spectrum, WIDEST);
         let of_band = beyond.left_out(&kept);
-        let promised = SingleEcho::new(&promised, span, &spectrum, widest(asked));
+        let promised = SingleEcho::for_prediction(&promised, span, &spectrum, widest(asked));
         let grid_hz = grid as f64 / period_s;
         let of_kernel = promised.kernel(&kernel, &kept, grid_hz);
         let of_rounding = promised.rounding(&kernel, &kept, grid_hz, grid_rounding);
@@ -370,7 +370,7 @@ impl Design {
             simd_level: SimdLevel::best(),
         };
         let of_others = [self.grid_rounding, everywhere];
-        SingleEcho::new(&spec, span, &self.spectrum, widest(&spec)).profile(
+        SingleEcho::for_design(&spec, span, &self.spectrum, widest(&spec)).profile(
             &self.kernel,
             &self.band,
             self.grid_hz(),

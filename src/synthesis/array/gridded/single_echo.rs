@@ -38,6 +38,10 @@ const ACROSS: [f64; 6] = [0.0, 0.2, 0.45, 0.7, 0.95, 1.0];
 /// Number of tested cells at an end of a Doppler grid. Further cells have little effect.
 const END_CELLS: usize = 12;
 
+/// Instants per sample at which windows are looked at: for a design, at least those of the frequencies that are looked at; for its prediction. Behind a
+/// filter a window with the first samples of an echo may be weak at one place between two samples, and twice as strong an eighth of a sample beside it.
+const INSTANTS_OF_PREDICTIONS: usize = 16;
+
 /// Errors of a single echo.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct EchoErrors {
@@ -61,7 +65,8 @@ impl EchoErrors {
     }
 }
 
-/// Test echoes at both ends of the span of Dopplers.
+/// Test echoes at both ends of the span of Dopplers and at rest: where the span is wide, the receiver filter passes what is beside the carrier otherwise in
+/// the middle of it.
 pub(super) struct SingleEcho {
     /// Frequency of every bin in transform order: lowest first, then the negative ones.
     frequency_hz: Vec<f64>,
@@ -69,21 +74,80 @@ pub(super) struct SingleEcho {
     gain: Vec<f64>,
     spectra: Vec<Vec<Complex64>>,
     /// Energies of the echoes in all windows. The energy of the noise is the minimum.
-    windows: Vec<Vec<f64>>,
-    /// Samples of a window, and instants per sample.
-    window: usize,
+    levels: Vec<Vec<f64>>,
+    windows: Windows,
+    /// Instants per sample of these spectra.
     density: usize,
+}
+
+/// The windows that a spectrum's signal is looked at in.
+#[derive(Clone, Copy)]
+struct Windows {
+    /// Samples of a window, and instants per sample at which one may begin.
+    samples: usize,
+    instants: usize,
+    /// Instants for each of the spectrum's own.
+    finer: usize,
     /// Energy of the noise in a window relative to the strongest window.
     noise: f64,
 }
 
+impl Windows {
+    fn energies(&self, mut spectrum: Vec<Complex64>) -> Vec<f64> {
+        let count = spectrum.len();
+        let more = (self.finer - 1) * count;
+        spectrum.splice(
+            count / 2..count / 2,
+            std::iter::repeat_n(Complex64::ZERO, more),
+        );
+        energies(spectrum, self.samples, self.instants)
+    }
+
+    /// Energies of an echo. The energy of the noise is the minimum.
+    fn levels(&self, spectrum: &[Complex64]) -> Vec<f64> {
+        let mut levels = self.energies(spectrum.to_vec());
+        let noise = self.noise * levels.iter().copied().fold(0.0, f64::max);
+        levels
+            .iter_mut()
+            .for_each(|level| *level = level.max(noise));
+        levels
+    }
+
+    /// Largest ratio of the energies of the spectrum `rest` to `levels`.
+    fn worst(&self, rest: Vec<Complex64>, levels: &[f64]) -> f64 {
+        let off = self.energies(rest);
+        let shares = off.iter().zip(levels).map(|(off, level)| off / level);
+        shares.fold(0.0, f64::max).sqrt()
+    }
+}
+
 impl SingleEcho {
-    /// `widest`: the frequencies looked at, to either side of the carrier, in sample rates.
-    pub(super) fn new(
+    /// For the choice of a design. `widest`: the frequencies looked at, to either side of the carrier, in sample rates.
+    pub(super) fn for_design(
         spec: &Spec,
         span: DopplerSpan,
         spectrum: &PulseSpectrum,
         widest: f64,
+    ) -> Self {
+        Self::new(spec, span, spectrum, widest, 1)
+    }
+
+    /// For the prediction of its error.
+    pub(super) fn for_prediction(
+        spec: &Spec,
+        span: DopplerSpan,
+        spectrum: &PulseSpectrum,
+        widest: f64,
+    ) -> Self {
+        Self::new(spec, span, spectrum, widest, INSTANTS_OF_PREDICTIONS)
+    }
+
+    fn new(
+        spec: &Spec,
+        span: DopplerSpan,
+        spectrum: &PulseSpectrum,
+        widest: f64,
+        instants: usize,
     ) -> Self {
         let (pulse, rate_hz) = (spec.pulse, spec.sample_rate_hz);
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
@@ -103,7 +167,11 @@ impl SingleEcho {
             .iter()
             .map(|&f_hz| spec.filter.map_or(1.0, |filter| filter.gain(f_hz)))
             .collect();
-        let mut dopplers = vec![span.least, span.greatest];
+        let mut dopplers = vec![
+            span.least,
+            0f64.clamp(span.least, span.greatest),
+            span.greatest,
+        ];
         dopplers.dedup();
         let spectra: Vec<Vec<Complex64>> = dopplers
             .iter()
@@ -115,20 +183,21 @@ impl SingleEcho {
             })
             .collect();
         let density = (2.0 * widest) as usize;
-        let window = (window_s * rate_hz).ceil() as usize;
-        let noise = 10f64.powf(-spec.level_range_db.min(DEEPEST_DB) / 10.0);
-        let windows = spectra
-            .iter()
-            .map(|spectrum| sizes(spectrum, (window, density), noise))
-            .collect();
+        let finer = instants.div_ceil(density);
+        let windows = Windows {
+            samples: (window_s * rate_hz).ceil() as usize,
+            instants: finer * density,
+            finer,
+            noise: 10f64.powf(-spec.level_range_db.min(DEEPEST_DB) / 10.0),
+        };
+        let levels = spectra.iter().map(|spectrum| windows.levels(spectrum));
         Self {
             frequency_hz,
             gain,
+            levels: levels.collect(),
             spectra,
             windows,
-            window,
             density,
-            noise,
         }
     }
 
@@ -169,20 +238,19 @@ impl SingleEcho {
         grid_hz: f64,
         rounding: f64,
     ) -> EchoErrors {
-        let (window, density) = (self.window, self.density);
-        let echoes = self.spectra.iter().zip(&self.windows);
-        EchoErrors::of(echoes.map(|(spectrum, windows)| {
-            let mut off = vec![0.0; windows.len()];
+        let echoes = self.spectra.iter().zip(&self.levels);
+        EchoErrors::of(echoes.map(|(spectrum, levels)| {
+            let mut off = vec![0.0; levels.len()];
             let mut rest = 0.0;
             for i in 0..kernel.width {
                 let value = self.rounded_value(spectrum, (kernel, i), band, grid_hz, rounding);
                 rest += value.iter().map(|x| x.norm_sqr()).sum::<f64>();
-                for (off, energy) in off.iter_mut().zip(energies(value, window, density)) {
+                for (off, energy) in off.iter_mut().zip(self.windows.energies(value)) {
                     *off += energy;
                 }
             }
             let all: f64 = spectrum.iter().map(|x| x.norm_sqr()).sum();
-            let shares = off.iter().zip(windows).map(|(off, size)| off / size);
+            let shares = off.iter().zip(levels).map(|(off, level)| off / level);
             EchoErrors {
                 worst: shares.fold(0.0, f64::max).sqrt(),
                 mean: (rest / all.max(f64::MIN_POSITIVE)).sqrt(),
@@ -244,7 +312,6 @@ impl SingleEcho {
         used.sort_unstable();
         used.dedup();
         let columns = templates(grid, received, &used, &self.frequency_hz, &kept);
-        let of = (self.window, self.density);
         let at = |share: f64| {
             let (doppler, first, weights) = grid.at(share);
             let echo = self.frequency_hz.iter();
@@ -261,7 +328,7 @@ impl SingleEcho {
             let heard: Vec<Complex64> = echo.iter().zip(&self.gain).map(|(s, g)| s * g).collect();
             EchoErrors {
                 mean: rms_ratio(&rest, &heard),
-                worst: worst(rest, &sizes(&heard, of, self.noise), of),
+                worst: self.windows.worst(rest, &self.windows.levels(&heard)),
             }
         };
         let shares: Vec<f64> = cells
@@ -330,8 +397,8 @@ impl SingleEcho {
     /// Errors if the spectrum has the relative error `amiss` at each frequency.
     fn errors(&self, amiss: impl Fn(f64) -> Complex64) -> EchoErrors {
         let amiss: Vec<Complex64> = self.frequency_hz.iter().map(|&f_hz| amiss(f_hz)).collect();
-        let echoes = self.spectra.iter().zip(&self.windows);
-        EchoErrors::of(echoes.map(|(spectrum, windows)| {
+        let echoes = self.spectra.iter().zip(&self.levels);
+        EchoErrors::of(echoes.map(|(spectrum, levels)| {
             let rest: Vec<Complex64> = spectrum
                 .iter()
                 .zip(&amiss)
@@ -339,27 +406,10 @@ impl SingleEcho {
                 .collect();
             EchoErrors {
                 mean: rms_ratio(&rest, spectrum),
-                worst: worst(rest, windows, (self.window, self.density)),
+                worst: self.windows.worst(rest, levels),
             }
         }))
     }
-}
-
-/// Energies of an echo in all windows of so many samples, with so many instants each. The energy of the noise is the minimum.
-fn sizes(spectrum: &[Complex64], (window, density): (usize, usize), noise: f64) -> Vec<f64> {
-    let mut windows = energies(spectrum.to_vec(), window, density);
-    let strongest = windows.iter().copied().fold(0.0, f64::max);
-    windows
-        .iter_mut()
-        .for_each(|w| *w = w.max(noise * strongest));
-    windows
-}
-
-/// Largest ratio of the windowed energy of the spectrum `rest` to `windows`.
-fn worst(rest: Vec<Complex64>, windows: &[f64], (window, density): (usize, usize)) -> f64 {
-    let off = energies(rest, window, density);
-    let shares = off.iter().zip(windows).map(|(off, size)| off / size);
-    shares.fold(0.0, f64::max).sqrt()
 }
 
 /// rms of one spectrum over that of another.
