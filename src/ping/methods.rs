@@ -133,7 +133,14 @@ pub struct EchoError {
     pub window: f64,
     /// In any window of a ping, at most.
     pub most: f64,
+    /// What second derivatives of the range add: for each metre per second squared, and at most.
+    pub accelerated: [f64; 2],
+    /// Rounding errors that spread over the record, relative to the noise floor.
+    pub spread: f64,
 }
+
+/// rms motions of all but the rarest echoes lie within so many times their rms.
+pub(crate) const EXTREMES: f64 = 3.0;
 
 impl EchoError {
     /// The larger errors of two engines.
@@ -142,19 +149,49 @@ impl EchoError {
             mean: self.mean.max(other.mean),
             window: self.window.max(other.window),
             most: self.most.max(other.most),
+            accelerated: [0, 1].map(|k| self.accelerated[k].max(other.accelerated[k])),
+            spread: self.spread.max(other.spread),
         })
     }
 
-    /// In the worst window of a ping that is not made, `fading` as in [`EchoStatistics`].
-    pub(crate) fn before_ping(self, fading: f64) -> f64 {
-        self.window.max(fading * self.mean).min(self.most)
+    /// With the range accelerations that echoes have, m/s^2.
+    fn with_acceleration(self, rms_m_per_s2: f64) -> Self {
+        let [of_each, most] = self.accelerated;
+        let error = (EXTREMES * rms_m_per_s2 * of_each).min(most);
+        Self {
+            mean: self.mean.hypot(error),
+            window: self.window.hypot(error),
+            ..self
+        }
+    }
+
+    /// In the worst window of a ping that is not made, with its `fading` and acceleration as in [`EchoStatistics`].
+    pub(crate) fn before_ping(self, fading: f64, rms_m_per_s2: f64) -> f64 {
+        self.with_acceleration(rms_m_per_s2)
+            .before_this_ping(fading)
+    }
+
+    fn before_this_ping(self, fading: f64) -> f64 {
+        let of_echoes = self.window.max(fading * self.mean).min(self.most);
+        of_echoes.hypot(self.spread)
+    }
+
+    /// Of a whole echo, over that in its worst window.
+    pub(crate) fn whole_over_end(self) -> f64 {
+        self.mean / self.window.max(f64::MIN_POSITIVE)
     }
 
     /// ... and of one that is: the ends of echoes have no more than these as a whole.
     pub(crate) fn of_ping(self, heard: &EchoStatistics) -> f64 {
+        self.with_acceleration(heard.range_acceleration_m_per_s2)
+            .of_this_ping(heard)
+    }
+
+    fn of_this_ping(self, heard: &EchoStatistics) -> f64 {
         let of_ends = heard.ends.max(cut_echoes(heard.tails)) * self.window;
         let of_ends = of_ends.min(heard.tails * self.mean);
-        of_ends.max(heard.fading * self.mean).min(self.most)
+        let of_echoes = of_ends.max(heard.fading * self.mean).min(self.most);
+        of_echoes.hypot(self.spread)
     }
 }
 

@@ -94,6 +94,16 @@ impl SlabDesign {
         self.engine.mean_error()
     }
 
+    /// Error of curved echoes; see [`Gridded1d::curvature_error`].
+    pub fn curvature_error(&self) -> [f64; 2] {
+        self.engine.curvature_error()
+    }
+
+    /// Error that spreads over the record; see [`Gridded1d::spread_error`].
+    pub fn spread_error(&self) -> f64 {
+        self.engine.spread_error()
+    }
+
     /// An echo with its error; see [`Gridded1d::echo_at_rest`].
     pub fn echo_at_rest(&self) -> Option<&EchoProfile> {
         self.engine.echo_at_rest()

@@ -402,7 +402,7 @@ pub fn echo_statistics(
             parts.fill(Part::default());
             let ends = (array, element);
             let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, ends, INSTANTS);
-            receiver.accumulate(plan, scatterers, &energies, part_s, &mut parts);
+            receiver.accumulate(plan, scatterers, &energies, part_s, &mut parts, |_, _| ());
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
             if mean == 0.0 {
                 continue;
@@ -1316,6 +1316,7 @@ impl ReceivingElement {
         energies: &Energies,
         part_s: f64,
         parts: &mut [Part],
+        mut begins_with: impl FnMut(f64, f64),
     ) {
         // Of a pulse, in parts.
         let length = plan.pulse.duration_s / part_s;
@@ -1369,6 +1370,7 @@ impl ReceivingElement {
             let first = &mut parts[begins as usize];
             first.echoes += weight;
             first.begun += energy;
+            begins_with(begins * part_s, energy);
             first.begun2 += energy * energy;
             let mut from = energies.upto[0];
             for (k, part) in parts.iter_mut().enumerate().skip(begins as usize) {

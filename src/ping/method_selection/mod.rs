@@ -8,6 +8,7 @@ pub mod costs;
 mod culled;
 pub mod echo_statistics;
 mod edges;
+mod ends;
 pub(crate) mod fades;
 pub mod live;
 mod moving;
@@ -31,7 +32,7 @@ use crate::method_selection::parts::{Parting, partings};
 use crate::method_selection::resting::{RestingPing, is_at_rest};
 use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
 use crate::methods::{
-    Candidate, Choice, Displaced, EchoError, Family, Goal, Part, Ranking, choose, fitted,
+    Candidate, Choice, Displaced, EXTREMES, EchoError, Family, Goal, Part, Ranking, choose, fitted,
 };
 use crate::refraction::refraction_error;
 use crate::work::{Figure, Work};
@@ -65,8 +66,6 @@ const STEPS_OF_LINES: f64 = 8.0;
 /// `gridded-lines` is selected only where it interpolates scatterers at this share of the nearest one's distance too: later pings have nearer ones, for which
 /// the direct sum takes the place of the engine, and is a hundred times as slow.
 const ROOM: f64 = 0.9;
-/// rms closing speeds of all but the rarest echoes lie within so many times their rms.
-const EXTREMES: f64 = 3.0;
 /// A line of `gridded-2d` bears the motion across it that the echoes of a window have, and so much more in some.
 const ACROSS: f64 = 3.0;
 /// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater, and more in the worst of
@@ -74,9 +73,9 @@ const ACROSS: f64 = 3.0;
 const ENGINE_MARGIN: f64 = 3.0;
 /// ... but `gridded-1d` leaves no more than this of the tolerance that it is made for, in windows with the end of a single echo too.
 const KEPT_BY_ONE: f64 = 1.0;
-/// The error of a single echo of `gridded-1d` is that of its worst window and place, of those that are looked at: at others it is up to 1.1 times that
-/// (a test of the engine).
-const SINGLE_MARGIN: f64 = 1.2;
+/// The error of a single echo of `gridded-1d` is that of its worst window and place. Those of its interpolations over delay and Doppler count as of random
+/// phase, and are up to 1.4 times as great where they have the same (a test of the engine).
+const SINGLE_MARGIN: f64 = 1.4;
 /// ... and of `gridded-lines`, where patterns turn along a line: 1.8 times as much was measured (`tests/data/points/rolling.toml`).
 const SINGLE_MARGIN_OF_LINES: f64 = 2.0;
 /// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
@@ -833,6 +832,10 @@ impl<'a> CandidateBuilder<'a> {
             .conditions
             .echo_statistics
             .map_or(f64::INFINITY, |echoes| echoes.fading);
+        let accelerated_m_per_s2 = self
+            .conditions
+            .echo_statistics
+            .map_or(f64::INFINITY, |echoes| echoes.range_acceleration_m_per_s2);
         // Elements that are made one by one, and points at which delays are solved.
         let (mut elements, mut solved) = (0.0, 0.0);
         let receive = self.scene.spec.receive.iter();
@@ -874,8 +877,10 @@ impl<'a> CandidateBuilder<'a> {
                 mean,
                 window: SINGLE_MARGIN_OF_LINES * window,
                 most: onsets * line.error_of(array, self.line_motion()),
+                accelerated: [0.0; 2],
+                spread: 0.0,
             };
-            error = error.max(known.unwrap_or(of_line.before_ping(fading)));
+            error = error.max(known.unwrap_or(of_line.before_ping(fading, accelerated_m_per_s2)));
             echo_error = match known {
                 Some(_) => None,
                 None => Some(of_line.or_more(echo_error)),
@@ -883,13 +888,8 @@ impl<'a> CandidateBuilder<'a> {
             why.clone_from(&line.error_model().why);
         }
         if let Some(one) = &engine.elements {
-            let curvature_per_s = self
-                .conditions
-                .echo_statistics
-                .map_or(f64::INFINITY, |echoes| {
-                    EXTREMES * echoes.range_acceleration_m_per_s2
-                        / self.conditions.sound_speed_m_per_s
-                });
+            let c = self.conditions.sound_speed_m_per_s;
+            let curvature_per_s = EXTREMES * accelerated_m_per_s2 / c;
             let share = self.closing_m_per_s() / FASTEST_PLATFORM_M_PER_S;
             let cost = one.cost_estimate(arrivals as usize, share.min(1.0), curvature_per_s);
             work = work
@@ -897,12 +897,18 @@ impl<'a> CandidateBuilder<'a> {
                 .and(Figure::Gridded1dGrid, cost.grids_ns * elements);
             solved += elements;
             let error_model = one.error_model();
+            let [curved, most_per_s] = one.curvature_error();
             let of_one = EchoError {
                 mean: one.mean_error(),
                 window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
                 most: f64::INFINITY,
+                accelerated: [
+                    curved / (most_per_s * c).max(f64::MIN_POSITIVE),
+                    SINGLE_MARGIN * curved,
+                ],
+                spread: one.spread_error(),
             };
-            let bound = of_one.before_ping(fading);
+            let bound = of_one.before_ping(fading, accelerated_m_per_s2);
             let at_rest = || {
                 let echo = one.echo_at_rest()?;
                 let resting = self.resting(echo)?;

@@ -12,7 +12,7 @@ use crate::method_selection::echo_statistics::{
 };
 use crate::method_selection::edges::error_of_edges;
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
-use crate::method_selection::sample_fades::{WindowStatistics, are_few};
+use crate::method_selection::sample_fades::{Predicted, WindowStatistics, are_few};
 use crate::methods::{Candidate, EchoError, Family};
 use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
@@ -273,7 +273,11 @@ impl Promise {
             ..predicted
         };
         let weights = self.weights(plan, ping, predicted);
-        let of = (predicted, &weights);
+        let of = Predicted {
+            statistics: predicted,
+            weights: &weights,
+            whole_over_end: self.echo_error.map_or(1.0, EchoError::whole_over_end),
+        };
         let heard = match ping.is_heard {
             true => windows.of_samples(spec, plan, scatterers, frames, of),
             false => windows.of_onset(spec, plan, scatterers, frames, of),

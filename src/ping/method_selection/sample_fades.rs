@@ -7,23 +7,29 @@
 //! In: a ping of few scatterers with its samples, ahead of the receiver. Out: its [`EchoStatistics`]. Looked at are the ends of every array and the
 //! elements with the largest errors as far as those of the ends tell.
 
+use std::sync::Arc;
+
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, ReceiverFilter};
-use echotank_core::model::PathModel;
+use echotank_core::model::{PathModel, Synthesis};
 use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
+use echotank_synthesis::array::{EchoOnset, echo_onset};
 use echotank_synthesis::echo::Chord;
 use echotank_synthesis::echo::levels::amplitude_from_db;
 use echotank_synthesis::error_model::{EchoStatistics, OVERLAPPING};
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::conditions::sound_speed_step_up;
+use crate::element_synthesis::filter_design;
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
     ALONE, Energies, GROWTH, OFF_PATH, OFF_VELOCITY, Part, Poses, ReceivingElement, SAMPLED,
     SINGLE, TRACKED, quantities,
 };
+use crate::method_selection::ends::{Echo, Ends, Record};
 use crate::method_selection::fades;
 
 /// So many echoes of a ping, the first ones, are looked at where there are too many to look at all: at the onset few interfere.
@@ -46,8 +52,6 @@ const PAIRS: usize = 3000;
 const LOOKS: f64 = 3.0;
 /// With fewer echoes than this in a window, some pair of them may keep its phase difference in all of it.
 const FEW: f64 = 8.0;
-/// A window with less than this share of the energies of its echoes holds no more than their ends.
-const ENDS: f64 = 0.25;
 /// Degrees of freedom of the energy of echoes that keep their phase differences.
 const OF_FEW: f64 = 1.0;
 
@@ -92,10 +96,23 @@ struct Worst {
     ends: f64,
 }
 
+/// What is predicted of a ping without its samples.
+#[derive(Clone, Copy)]
+pub(super) struct Predicted<'a> {
+    pub statistics: EchoStatistics,
+    /// Error for each unit of a quantity.
+    pub weights: &'a [f64; TRACKED],
+    /// Error that the engine makes of a whole echo, over that of an end of one.
+    pub whole_over_end: f64,
+}
+
 /// What is known of windows with many echoes.
 struct Bounds {
     amounts: [f64; TRACKED],
     fading: f64,
+    /// How echoes begin, and the share of its energy that one counts with at most where its ends are looked at.
+    onset: Option<Arc<EchoOnset>>,
+    most_of_end: f64,
 }
 
 /// Buffers for one element.
@@ -113,6 +130,7 @@ pub(super) struct WindowStatistics {
     /// Of all windows.
     amounts: Vec<[f64; TRACKED]>,
     onset: Onset,
+    ends: Ends,
     /// Of the platform's track, with `k-segment`.
     chords: Vec<Chord>,
 }
@@ -172,7 +190,7 @@ impl WindowStatistics {
         plan: &PingPlan,
         scatterers: &Scatterers,
         frames: &[ElementFrame],
-        of: (EchoStatistics, &[f64; TRACKED]),
+        of: Predicted,
     ) -> EchoStatistics {
         let mut onset = std::mem::take(&mut self.onset);
         let pose = plan.trajectory.pose_at(0.0);
@@ -190,14 +208,14 @@ impl WindowStatistics {
         statistics
     }
 
-    /// The statistics of a ping with the fades that its windows have, and `predicted` for the rest. `weights`: error for each unit of a quantity.
+    /// The statistics of a ping with the fades that its windows have, and what is predicted for the rest.
     pub(super) fn of_samples(
         &mut self,
         spec: &SonarSpec,
         plan: &PingPlan,
         scatterers: &Scatterers,
         frames: &[ElementFrame],
-        of: (EchoStatistics, &[f64; TRACKED]),
+        of: Predicted,
     ) -> EchoStatistics {
         self.of_samples_until(spec, plan, scatterers, (frames, f64::INFINITY), of)
     }
@@ -209,23 +227,37 @@ impl WindowStatistics {
         plan: &PingPlan,
         scatterers: &Scatterers,
         (frames, until_s): (&[ElementFrame], f64),
-        (predicted, weights): (EchoStatistics, &[f64; TRACKED]),
+        Predicted {
+            statistics: predicted,
+            weights,
+            whole_over_end,
+        }: Predicted,
     ) -> EchoStatistics {
         let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
         let rate_hz = spec.receiver.sample_rate_hz;
         let echo = energies.mean * plan.pulse.duration_s * rate_hz;
         let count = (PAIRS / scatterers.len().max(1)).clamp(ELEMENTS.0, ELEMENTS.1);
+        let c = sound_speed_step_up(plan.sound_speed_m_per_s);
+        let filter = filter_design(spec, Synthesis::Direct, c);
+        // A filter that cannot be designed is refused elsewhere.
+        let onset = echo_onset(plan, rate_hz, filter).ok();
         let mut before = predicted;
         let mut bounds = Bounds {
             amounts: [f64::INFINITY; TRACKED],
             fading: predicted.fading,
+            onset,
+            most_of_end: (OVERLAPPING * whole_over_end).powi(2).min(1.0),
         };
         for (bound, value) in bounds.amounts.iter_mut().zip(quantities(&mut before)) {
             *bound = *value;
         }
         let mut worst = Worst {
             fading: OVERLAPPING,
-            ends: predicted.ends,
+            ends: if bounds.onset.is_some() {
+                0.0
+            } else {
+                predicted.ends
+            },
             ..Worst::default()
         };
         self.amounts.clear();
@@ -398,7 +430,19 @@ impl WindowStatistics {
             (array, element),
             INSTANTS,
         );
-        receiver.accumulate(plan, scatterers, energies, step_s, &mut self.parts);
+        let Self { parts, ends, .. } = self;
+        ends.echoes.clear();
+        receiver.accumulate(
+            plan,
+            scatterers,
+            energies,
+            step_s,
+            parts,
+            |begins_s, energy| {
+                let begins = (begins_s - plan.first_sample_s) * rate_hz;
+                ends.echoes.push(Echo { begins, energy });
+            },
+        );
     }
 
     /// Sums samples and echoes of an element in [`Self::upto`] and [`Self::before`]. `pulse`: the sum of the squares of an echo of unit strength, volts
@@ -502,7 +546,7 @@ impl WindowStatistics {
         let tail = tail_samples(spec);
         let ago = ((plan.pulse.duration_s * rate_hz + tail) / step).ceil() as usize;
         let ahead = (tail / step).ceil() as usize;
-        let (mut tails2, mut ends2) = (0.0f64, 0.0f64);
+        let mut tails2 = 0.0f64;
         // Of the windows that end in one step, the one that fades the most.
         let mut deepest: Option<(f64, (&Upto, &Upto))> = None;
         let mut amounts = std::mem::take(&mut self.amounts);
@@ -513,11 +557,7 @@ impl WindowStatistics {
             let since = from.next.saturating_sub(ago);
             let begun = self.before[until].begun - self.before[since].begun;
             tails2 = tails2.max(begun / against);
-            let energy = to.energy - from.energy;
-            let ratio = energy / against;
-            if energy < ENDS * begun {
-                ends2 = ends2.max(ratio);
-            }
+            let ratio = (to.energy - from.energy) / against;
             if let Some((_, window)) = deepest.take_if(|(_, (_, last))| last.step != to.step) {
                 amounts.extend(self.amounts_of(window, (floor, peaks), bounds, worst));
             }
@@ -530,7 +570,17 @@ impl WindowStatistics {
         }
         self.amounts = amounts;
         worst.tails = worst.tails.max(OVERLAPPING * tails2.sqrt());
-        worst.ends = worst.ends.max(ends2.sqrt());
+        if let Some(onset) = &bounds.onset {
+            let record = Record {
+                signal,
+                window: window_samples(plan.pulse.duration_s, rate_hz).min(signal.len()),
+                pulse: plan.pulse.duration_s * rate_hz,
+                of_unit: pulse,
+                floor,
+            };
+            let ends = self.ends.worst(&record, onset, bounds.most_of_end);
+            worst.ends = worst.ends.max(ends);
+        }
         self.find_ends(floor, energies, worst);
     }
 
@@ -693,6 +743,8 @@ mod tests {
             let bounds = Bounds {
                 amounts: [f64::INFINITY; TRACKED],
                 fading: f64::INFINITY,
+                onset: None,
+                most_of_end: 1.0,
             };
             let peaks = (fades::worst_peak(LOOKS, OF_FEW), 1.0);
             let mut worst = Worst::default();

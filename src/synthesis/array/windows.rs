@@ -8,7 +8,7 @@
 //! together, their errors have random phases, and fade otherwise than the echoes. The result depends on the pulse, the
 //! filter and the method alone, so it is computed once for each of them.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use num_complex::Complex64;
 
@@ -152,6 +152,70 @@ pub fn displaced_echo_errors<const N: usize>(
     Ok(errors)
 }
 
+/// Energy of an echo up to a sample, over that of the whole, by how many samples the echo began before it. Behind the receiver filter it begins earlier. Pulse
+/// and filter are symmetric: it is the energy from a sample on, too, by how many samples later the echo ends.
+#[derive(Debug)]
+pub struct EchoOnset {
+    /// Samples before the beginning at which the table begins.
+    before: usize,
+    /// At every [`Self::PER_SAMPLE`]-th of a sample.
+    energies: Vec<f64>,
+}
+
+impl EchoOnset {
+    const PER_SAMPLE: usize = 8;
+    /// Samples behind the beginning that the table covers at most.
+    const MOST: usize = 64;
+
+    /// Samples before an echo's beginning from which it is heard.
+    pub fn before(&self) -> usize {
+        self.before
+    }
+
+    /// So many samples behind the beginning. Behind the table, its last value.
+    pub fn up_to(&self, samples: f64) -> f64 {
+        let place = (samples + self.before as f64) * Self::PER_SAMPLE as f64;
+        match place.round() {
+            ..0.0 => 0.0,
+            index => self.energies[(index as usize).min(self.energies.len() - 1)],
+        }
+    }
+
+    /// The sample behind the beginning up to which an echo has this share of its energy, as far as the table covers.
+    pub fn samples_of(&self, share: f64) -> f64 {
+        let index = self.energies.partition_point(|energy| *energy < share);
+        index as f64 / Self::PER_SAMPLE as f64 - self.before as f64
+    }
+}
+
+/// The beginning of a single echo. Results are kept, as those of [`displaced_echo_errors`].
+pub fn echo_onset(
+    plan: &PingPlan,
+    rate_hz: f64,
+    filter: Option<FilterDesign>,
+) -> Result<Arc<EchoOnset>, FilterError> {
+    static RESULTS: Mutex<Vec<(Asked, Arc<EchoOnset>)>> = Mutex::new(Vec::new());
+    let asked = Asked {
+        synthesis: Synthesis::Direct,
+        pulse: plan.pulse,
+        rate_hz,
+        filter,
+    };
+    let results = || RESULTS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, onset)) = results().iter().find(|(of, _)| *of == asked) {
+        return Ok(onset.clone());
+    }
+    let filter = filter.map(|f| f.decimator()).transpose()?;
+    let echo = SingleEcho::new(Synthesis::Direct, plan, rate_hz, filter.as_ref());
+    let onset = Arc::new(echo.onset());
+    let mut results = results();
+    if results.len() >= KEPT {
+        results.remove(0);
+    }
+    results.push((asked, onset.clone()));
+    Ok(onset)
+}
+
 /// Carrier phase of test displacements, radians: small against 1, and large against the error of the quadrature.
 const DISPLACED_RAD: f64 = 1e-3;
 
@@ -247,6 +311,27 @@ impl<'a> SingleEcho<'a> {
             }
         }
         worst
+    }
+
+    /// See [`echo_onset`].
+    fn onset(&self) -> EchoOnset {
+        const FINE: usize = EchoOnset::PER_SAMPLE;
+        let before = self.silence - self.window;
+        let covered = (before + EchoOnset::MOST).min(self.samples - self.window);
+        let mut energies = vec![0.0; covered * FINE];
+        for k in 0..FINE {
+            let echo = self.exactly(k as f64 / FINE as f64, 0.0);
+            let whole: f64 = echo.iter().map(|x| x.norm_sqr()).sum();
+            let mut up_to = 0.0;
+            for (m, x) in echo.iter().skip(self.window).take(covered).enumerate() {
+                up_to += x.norm_sqr();
+                // The echo begins `before` samples and k of them later.
+                if let Some(index) = (m * FINE).checked_sub(k) {
+                    energies[index] = up_to / whole;
+                }
+            }
+        }
+        EchoOnset { before, energies }
     }
 
     /// An echo that begins `place` samples after a sample. Its sound of the share s of the pulse comes `late_s(s)` seconds late.

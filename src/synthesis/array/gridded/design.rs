@@ -61,8 +61,9 @@ pub(crate) struct Design {
     pub beside: f64,
     sweep: f64,
     pub error: f64,
-    /// Errors of a single echo, with the noise floor of the contract.
+    /// Errors of a single echo without curvature, with the noise floor of the contract; and what the greatest curvature adds.
     pub single_echo: EchoErrors,
+    pub curved: f64,
     /// As asked for.
     sample_rate_hz: f64,
     tolerance: f64,
@@ -284,15 +285,16 @@ impl Design {
             1 => EchoErrors::default(),
             _ => promised.dopplers(&terms[0].grid, received(0), &kept),
         };
-        if weights_carry || terms[0].grid.columns == 1 {
-            // With curvature, the end of an echo is off by the error of the fit there.
+        if terms[0].grid.columns == 1 {
             of_doppler.worst = of_doppler.worst.max(doppler.error);
             of_doppler.mean = of_doppler.mean.max(doppler.error);
         }
+        // With curvature, the end of an echo is off by the error of the fit there.
+        let of_weights = if weights_carry { doppler.error } else { 0.0 };
+        let curved = of_weights.hypot(of_terms).hypot(series);
         let all = |error: fn(&EchoErrors) -> f64| {
-            let of_fits = [of_kernel, of_doppler, of_band, of_rounding].map(|of| error(&of));
-            let others = [of_terms, series];
-            of_fits.into_iter().chain(others).fold(0.0, f64::hypot)
+            let errors = [of_kernel, of_doppler, of_band, of_rounding].map(|of| error(&of));
+            errors.into_iter().fold(0.0, f64::hypot)
         };
         let single_echo = EchoErrors {
             worst: all(|of| of.worst),
@@ -338,6 +340,7 @@ impl Design {
             sweep: sweep(spec),
             error,
             single_echo,
+            curved,
             sample_rate_hz: rate_hz,
             tolerance: asked.tolerance,
             grid_rounding,

@@ -43,6 +43,7 @@ use super::doppler::DopplerSpan;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
+use super::single_echo::EchoErrors;
 use echotank_core::simd::{Kind, SimdLevel};
 
 /// Tolerance below which moments are f64. f32 rounds amplitudes, positions and sums to about 1e-7
@@ -151,8 +152,10 @@ pub struct Gridded1d {
     echo_at_rest: Option<Box<dyn Fn() -> EchoProfile + Send + Sync>>,
     profile: OnceLock<EchoProfile>,
     error_model: ErrorModel,
-    single_echo_error: f64,
-    mean_error: f64,
+    single_echo: EchoErrors,
+    /// At the greatest curvature, and that, 1/s.
+    curved: [f64; 2],
+    spread_error: f64,
 }
 
 /// Buffers of one thread, and the current element. Call [`Self::start`], pass the arrivals as to
@@ -209,8 +212,8 @@ impl Gridded1d {
         // f64 doubles the memory traffic.
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
-        let single_echo_error = design.single_echo.worst.hypot(spread_error);
-        let mean_error = design.single_echo.mean.hypot(spread_error);
+        let single_echo = design.single_echo;
+        let curved = [design.curved, design.frame.greatest_q];
         let doppler = &design.terms[0].grid;
         let curvature = match &design.terms[1..] {
             [] if design.frame.curved => ", which carry curvature".into(),
@@ -255,19 +258,30 @@ impl Gridded1d {
             echo_at_rest,
             profile: OnceLock::new(),
             error_model,
-            single_echo_error,
-            mean_error,
+            single_echo,
+            curved,
+            spread_error,
         })
     }
 
     /// Predicted error of a single echo, over its level in the window or the noise floor, in the worst window.
     pub fn single_echo_error(&self) -> f64 {
-        self.single_echo_error
+        self.single_echo.worst
     }
 
     /// Predicted rms error over the echoes of a ping and their places on the grids.
     pub fn mean_error(&self) -> f64 {
-        self.mean_error
+        self.single_echo.mean
+    }
+
+    /// Predicted error of echoes with the greatest curvature, and that curvature, 1/s. Echoes with less have as much less. The others leave it out.
+    pub fn curvature_error(&self) -> [f64; 2] {
+        self.curved
+    }
+
+    /// Predicted error of transforms in f32, which spreads over the record, relative to the noise floor; 0 of those in f64. The others leave it out.
+    pub fn spread_error(&self) -> f64 {
+        self.spread_error
     }
 
     /// An echo with its error, of an engine without Doppler; none of others. The first call computes it.
@@ -1061,7 +1075,9 @@ mod tests {
             for tolerance in [1e-1, 1e-2, 1e-3, 1e-4] {
                 let (error, engine) = alone(doppler, curvature_per_s, tolerance);
                 let why = &engine.error_model().why;
-                let predicted = engine.single_echo_error();
+                let [curved, _] = engine.curvature_error();
+                let predicted = engine.single_echo_error().hypot(curved);
+                let predicted = predicted.hypot(engine.spread_error());
                 println!("{doppler:?} {tolerance:e}: {error:.2e} of {predicted:.2e}; {why}");
                 assert!(error <= tolerance, "{error:e} > {tolerance:e}: {why}");
                 assert!(error <= predicted, "{error:e} > {predicted:e}: {why}");
@@ -1137,7 +1153,7 @@ mod tests {
                         });
                     }
                 }
-                let predicted = engine.single_echo_error();
+                let predicted = engine.single_echo_error().hypot(engine.spread_error());
                 let of = format!("{kind:?} {taper} {sounding} {fastest} {tolerance:e}");
                 println!("{of}: {worst:.2e}, predicted {predicted:.2e}");
                 assert!(worst <= tolerance, "{of}: {worst:e}");
