@@ -10,6 +10,7 @@
 use crate::work::Work;
 use echotank_core::model::{ModelChoice, Synthesis};
 use echotank_synthesis::array::cut_echoes;
+use echotank_synthesis::array::gridded::LEVELS;
 use echotank_synthesis::error_model::EchoStatistics;
 
 /// One of the choices that make up a candidate.
@@ -131,6 +132,8 @@ pub struct EchoError {
     pub mean: f64,
     /// In the worst window.
     pub window: f64,
+    /// In windows whose levels below the strongest are those of [`level_of`](echotank_synthesis::array::gridded::level_of).
+    pub by_level: [f64; LEVELS],
     /// In any window of a ping, at most.
     pub most: f64,
     /// What second derivatives of the range add: for each metre per second squared, and at most.
@@ -148,6 +151,7 @@ impl EchoError {
         other.map_or(self, |other| Self {
             mean: self.mean.max(other.mean),
             window: self.window.max(other.window),
+            by_level: std::array::from_fn(|step| self.by_level[step].max(other.by_level[step])),
             most: self.most.max(other.most),
             accelerated: [0, 1].map(|k| self.accelerated[k].max(other.accelerated[k])),
             spread: self.spread.max(other.spread),
@@ -176,9 +180,11 @@ impl EchoError {
         of_echoes.hypot(self.spread)
     }
 
-    /// Of a whole echo, over that in its worst window.
-    pub(crate) fn whole_over_end(self) -> f64 {
-        self.mean / self.window.max(f64::MIN_POSITIVE)
+    /// Of a whole echo, and by the levels of windows, over that in the worst window.
+    pub(crate) fn over_window(self) -> (f64, [f64; LEVELS]) {
+        let window = self.window.max(f64::MIN_POSITIVE);
+        let over = |error: f64| (error / window).min(1.0);
+        (over(self.mean), self.by_level.map(over))
     }
 
     /// ... and of one that is: the ends of echoes have no more than these as a whole.
@@ -188,7 +194,8 @@ impl EchoError {
     }
 
     fn of_this_ping(self, heard: &EchoStatistics) -> f64 {
-        let of_ends = heard.ends.max(cut_echoes(heard.tails)) * self.window;
+        let cut = Some(cut_echoes(heard.tails)).filter(|cut| *cut > 1.0);
+        let of_ends = heard.ends.max(cut.unwrap_or(0.0)) * self.window;
         let of_ends = of_ends.min(heard.tails * self.mean);
         let of_echoes = of_ends.max(heard.fading * self.mean).min(self.most);
         of_echoes.hypot(self.spread)

@@ -122,7 +122,7 @@ pub struct EchoStatistics {
     /// Infinite before the samples are known: a window may hold no more than the tail of an echo.
     pub tails: f64,
     /// Of windows that hold no more than the ends of echoes, the rms of these ends over the level of the window, where they cancel the most, with what errors
-    /// of two may add up to: before the samples are known, the square root of two, of echoes that end together.
+    /// of two may add up to, and less where the engine errs less. The square root of two before the samples are known, of echoes that end together.
     pub ends: f64,
     /// Distance of an element from where the path model has it, along the rays, metres, where the path model is known.
     pub off_path_m: Option<f64>,

@@ -15,7 +15,7 @@ use num_complex::Complex64;
 use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::{Decimator, grid_ahead};
 use crate::array::gridded::{
-    CostEstimate, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
+    CostEstimate, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, LEVELS, one_dimensional,
 };
 use crate::echo::{Slab, TransmitLeg, Window, Workspace, arrivals_of_slab};
 use crate::error_model::ErrorModel;
@@ -87,6 +87,11 @@ impl SlabDesign {
     /// Predicted error of a single echo; see [`Gridded1d::single_echo_error`].
     pub fn single_echo_error(&self) -> f64 {
         self.engine.single_echo_error()
+    }
+
+    /// By the levels of windows; see [`Gridded1d::single_echo_errors`].
+    pub fn single_echo_errors(&self) -> [f64; LEVELS] {
+        self.engine.single_echo_errors()
     }
 
     /// Mean error over echoes; see [`Gridded1d::mean_error`].

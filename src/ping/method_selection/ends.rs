@@ -9,7 +9,9 @@
 //! another   begins ------ ends                            up_to(ends - first sample)
 //! ```
 
+use echotank_core::pulse::noise_share;
 use echotank_synthesis::array::EchoOnset;
+use echotank_synthesis::array::gridded::{LEVELS, level_of};
 use num_complex::Complex64;
 
 /// An echo of an element.
@@ -37,6 +39,10 @@ pub(super) struct Record<'a> {
 #[derive(Default)]
 pub(super) struct Ends {
     pub(super) echoes: Vec<Echo>,
+    /// By the table of [`EchoOnset`], the share of its energy that an echo counts with; at most this, and from this place on.
+    counted: Vec<f64>,
+    most: f64,
+    beyond: f64,
     /// Energies and their squares, by window.
     sums: Vec<[f64; 2]>,
     /// What the sums of the windows from one on have more.
@@ -44,9 +50,22 @@ pub(super) struct Ends {
 }
 
 impl Ends {
-    /// The largest rms of what the echoes have in a window, over its level. `most`: the share of its energy that an echo counts with at most, since as a
-    /// whole it has a smaller error. Of two that are as strong, the errors may add.
-    pub(super) fn worst(&mut self, record: &Record, onset: &EchoOnset, most: f64) -> f64 {
+    /// Sets what echoes count with. `most`: the share of its energy at most, since as a whole an echo has a smaller error. `by_level`: errors of an echo in
+    /// windows of these levels, over that in the worst window.
+    pub(super) fn count(&mut self, onset: &EchoOnset, most: f64, by_level: &[f64; LEVELS]) {
+        let counts = |energy: &f64| {
+            let step = level_of(*energy);
+            // The next deeper one too: an instant and a Doppler make a difference.
+            let error = by_level[step].max(by_level[(step + 1).min(LEVELS - 1)]);
+            (energy.max(noise_share()) * error * error).min(most)
+        };
+        self.counted.clear();
+        self.counted.extend(onset.energies().iter().map(counts));
+        (self.most, self.beyond) = (most, onset.samples_of(most));
+    }
+
+    /// The largest rms of what the echoes count with in a window, over its level. Of two that are as strong, the errors may add.
+    pub(super) fn worst(&mut self, record: &Record, onset: &EchoOnset) -> f64 {
         let &Record { signal, window, .. } = record;
         if signal.len() < window {
             return 0.0;
@@ -57,7 +76,7 @@ impl Ends {
             sums.resize(windows + 1, [0.0; 2]);
         }
         for k in 0..self.echoes.len() {
-            self.add(self.echoes[k], record, onset, most);
+            self.add(self.echoes[k], record, onset);
         }
         let mut level: f64 = signal[..window - 1].iter().map(|x| x.norm_sqr()).sum();
         let mut whole = [0.0; 2];
@@ -79,21 +98,20 @@ impl Ends {
     }
 
     /// Adds an echo to the windows that hear it.
-    fn add(&mut self, echo: Echo, record: &Record, onset: &EchoOnset, most: f64) {
+    fn add(&mut self, echo: Echo, record: &Record, onset: &EchoOnset) {
         let (begins, ends) = (echo.begins, echo.begins + record.pulse);
         let last = (record.window - 1) as f64;
         let before = onset.before() as f64;
         let windows = self.sums.len() - 1;
         let place = |first: f64| (first.ceil().max(0.0) as usize).min(windows);
         let heard = place(begins - before - last)..place(ends + before + 1.0);
-        let beyond = onset.samples_of(most);
-        let whole = place(begins + beyond - last)..place(ends - beyond);
+        let whole = place(begins + self.beyond - last)..place(ends - self.beyond);
+        let (counted, sums) = (&self.counted, &mut self.sums);
         let mut add = |first: usize| {
-            let up_to = onset.up_to(first as f64 + last - begins);
-            let from = onset.up_to(ends - first as f64);
-            let energy = echo.energy * up_to.min(from).min(most);
-            self.sums[first][0] += energy;
-            self.sums[first][1] += energy * energy;
+            let heard = (first as f64 + last - begins).min(ends - first as f64);
+            let energy = echo.energy * onset.index(heard).map_or(0.0, |index| counted[index]);
+            sums[first][0] += energy;
+            sums[first][1] += energy * energy;
         };
         if whole.is_empty() {
             heard.for_each(add);
@@ -101,7 +119,7 @@ impl Ends {
         }
         (heard.start..whole.start).for_each(&mut add);
         (whole.end..heard.end).for_each(&mut add);
-        let energy = echo.energy * most;
+        let energy = echo.energy * self.most;
         for (k, value) in [energy, energy * energy].into_iter().enumerate() {
             self.more[whole.start][k] += value;
             self.more[whole.end][k] -= value;
@@ -118,7 +136,7 @@ mod tests {
 
     const RATE_HZ: f64 = 40e3;
     const PULSE: usize = 40;
-    const FLOOR: f64 = 1e-6;
+    const FLOOR: f64 = 3.162_277_66e-6;
 
     /// Fades of echoes of a rectangular pulse that begin at these samples, in a record of a pulse of `amplitude` from sample 100 on. Without a filter.
     fn worst(begins: &[f64], amplitude: f64, most: f64) -> f64 {
@@ -147,7 +165,8 @@ mod tests {
             of_unit: PULSE as f64,
             floor: FLOOR,
         };
-        ends.worst(&record, &onset, most)
+        ends.count(&onset, most, &[1.0; LEVELS]);
+        ends.worst(&record, &onset)
     }
 
     #[test]

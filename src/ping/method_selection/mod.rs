@@ -44,7 +44,7 @@ use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::echo_profile::EchoProfile;
 use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points};
 use echotank_synthesis::array::filter::{Decimator, FilterDesign};
-use echotank_synthesis::array::gridded::{CostEstimate, shared_out};
+use echotank_synthesis::array::gridded::{CostEstimate, LEVELS, shared_out};
 use echotank_synthesis::array::lines;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
@@ -873,9 +873,11 @@ impl<'a> CandidateBuilder<'a> {
             };
             let known = self.is_at_rest().then(at_rest).flatten();
             let [mean, window] = line.echo_errors(array, self.line_motion());
+            let window = SINGLE_MARGIN_OF_LINES * window;
             let of_line = EchoError {
                 mean,
-                window: SINGLE_MARGIN_OF_LINES * window,
+                window,
+                by_level: [window; LEVELS],
                 most: onsets * line.error_of(array, self.line_motion()),
                 accelerated: [0.0; 2],
                 spread: 0.0,
@@ -901,6 +903,7 @@ impl<'a> CandidateBuilder<'a> {
             let of_one = EchoError {
                 mean: one.mean_error(),
                 window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
+                by_level: one.single_echo_errors().map(|error| SINGLE_MARGIN * error),
                 most: f64::INFINITY,
                 accelerated: [
                     curved / (most_per_s * c).max(f64::MIN_POSITIVE),

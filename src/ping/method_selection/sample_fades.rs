@@ -15,6 +15,7 @@ use echotank_core::model::{PathModel, Synthesis};
 use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
+use echotank_synthesis::array::gridded::LEVELS;
 use echotank_synthesis::array::{EchoOnset, echo_onset};
 use echotank_synthesis::echo::Chord;
 use echotank_synthesis::echo::levels::amplitude_from_db;
@@ -102,17 +103,16 @@ pub(super) struct Predicted<'a> {
     pub statistics: EchoStatistics,
     /// Error for each unit of a quantity.
     pub weights: &'a [f64; TRACKED],
-    /// Error that the engine makes of a whole echo, over that of an end of one.
-    pub whole_over_end: f64,
+    /// Errors that the engine makes of a whole echo, and by the levels of windows, over that in the worst window.
+    pub over_window: (f64, [f64; LEVELS]),
 }
 
 /// What is known of windows with many echoes.
 struct Bounds {
     amounts: [f64; TRACKED],
     fading: f64,
-    /// How echoes begin, and the share of its energy that one counts with at most where its ends are looked at.
+    /// How echoes begin.
     onset: Option<Arc<EchoOnset>>,
-    most_of_end: f64,
 }
 
 /// Buffers for one element.
@@ -230,7 +230,7 @@ impl WindowStatistics {
         Predicted {
             statistics: predicted,
             weights,
-            whole_over_end,
+            over_window: (whole, by_level),
         }: Predicted,
     ) -> EchoStatistics {
         let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
@@ -246,10 +246,13 @@ impl WindowStatistics {
             amounts: [f64::INFINITY; TRACKED],
             fading: predicted.fading,
             onset,
-            most_of_end: (OVERLAPPING * whole_over_end).powi(2).min(1.0),
         };
         for (bound, value) in bounds.amounts.iter_mut().zip(quantities(&mut before)) {
             *bound = *value;
+        }
+        if let Some(onset) = &bounds.onset {
+            let most = (OVERLAPPING * whole).powi(2).min(1.0);
+            self.ends.count(onset, most, &by_level);
         }
         let mut worst = Worst {
             fading: OVERLAPPING,
@@ -578,7 +581,7 @@ impl WindowStatistics {
                 of_unit: pulse,
                 floor,
             };
-            let ends = self.ends.worst(&record, onset, bounds.most_of_end);
+            let ends = self.ends.worst(&record, onset);
             worst.ends = worst.ends.max(ends);
         }
         self.find_ends(floor, energies, worst);
@@ -744,7 +747,6 @@ mod tests {
                 amounts: [f64::INFINITY; TRACKED],
                 fading: f64::INFINITY,
                 onset: None,
-                most_of_end: 1.0,
             };
             let peaks = (fades::worst_peak(LOOKS, OF_FEW), 1.0);
             let mut worst = Worst::default();

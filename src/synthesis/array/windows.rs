@@ -172,13 +172,15 @@ impl EchoOnset {
         self.before
     }
 
-    /// So many samples behind the beginning. Behind the table, its last value.
-    pub fn up_to(&self, samples: f64) -> f64 {
-        let place = (samples + self.before as f64) * Self::PER_SAMPLE as f64;
-        match place.round() {
-            ..0.0 => 0.0,
-            index => self.energies[(index as usize).min(self.energies.len() - 1)],
-        }
+    /// The table.
+    pub fn energies(&self) -> &[f64] {
+        &self.energies
+    }
+
+    /// Index in the table of so many samples behind the beginning; none before it. Behind it, the last one.
+    pub fn index(&self, samples: f64) -> Option<usize> {
+        let place = ((samples + self.before as f64) * Self::PER_SAMPLE as f64).round();
+        (place >= 0.0).then(|| (place as usize).min(self.energies.len() - 1))
     }
 
     /// The sample behind the beginning up to which an echo has this share of its energy, as far as the table covers.

@@ -286,19 +286,20 @@ impl Design {
             _ => promised.dopplers(&terms[0].grid, received(0), &kept),
         };
         if terms[0].grid.columns == 1 {
-            of_doppler.worst = of_doppler.worst.max(doppler.error);
-            of_doppler.mean = of_doppler.mean.max(doppler.error);
+            of_doppler = of_doppler.at_least(doppler.error);
         }
         // With curvature, the end of an echo is off by the error of the fit there.
         let of_weights = if weights_carry { doppler.error } else { 0.0 };
         let curved = of_weights.hypot(of_terms).hypot(series);
-        let all = |error: fn(&EchoErrors) -> f64| {
-            let errors = [of_kernel, of_doppler, of_band, of_rounding].map(|of| error(&of));
-            errors.into_iter().fold(0.0, f64::hypot)
+        let fits = [of_kernel, of_doppler, of_band, of_rounding];
+        let all = |error: &dyn Fn(&EchoErrors) -> f64| {
+            let errors = fits.iter().map(error);
+            errors.fold(0.0, f64::hypot)
         };
         let single_echo = EchoErrors {
-            worst: all(|of| of.worst),
-            mean: all(|of| of.mean),
+            worst: all(&|of| of.worst),
+            by_level: std::array::from_fn(|step| all(&|of| of.by_level[step])),
+            mean: all(&|of| of.mean),
         };
         let error = [
             kernel.error,

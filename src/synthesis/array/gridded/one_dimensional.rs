@@ -43,7 +43,7 @@ use super::doppler::DopplerSpan;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
-use super::single_echo::EchoErrors;
+use super::single_echo::{EchoErrors, LEVELS};
 use echotank_core::simd::{Kind, SimdLevel};
 
 /// Tolerance below which moments are f64. f32 rounds amplitudes, positions and sums to about 1e-7
@@ -267,6 +267,11 @@ impl Gridded1d {
     /// Predicted error of a single echo, over its level in the window or the noise floor, in the worst window.
     pub fn single_echo_error(&self) -> f64 {
         self.single_echo.worst
+    }
+
+    /// The same of windows whose levels below the strongest are those of [`level_of`](super::level_of).
+    pub fn single_echo_errors(&self) -> [f64; LEVELS] {
+        self.single_echo.by_level
     }
 
     /// Predicted rms error over the echoes of a ping and their places on the grids.

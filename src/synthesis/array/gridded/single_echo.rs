@@ -42,21 +42,49 @@ const END_CELLS: usize = 12;
 /// filter a window with the first samples of an echo may be weak at one place between two samples, and twice as strong an eighth of a sample beside it.
 const INSTANTS_OF_PREDICTIONS: usize = 16;
 
+/// Levels of windows below the strongest one, in steps of 5 dB. The last has all weaker ones.
+pub const LEVELS: usize = 12;
+const LEVEL_DB: f64 = 5.0;
+
+/// The step of [`LEVELS`] of a window with this share of the energy of the strongest one.
+pub fn level_of(share: f64) -> usize {
+    let steps = -10.0 * libm::log10(share.max(f64::MIN_POSITIVE)) / LEVEL_DB;
+    (steps.max(0.0) as usize).min(LEVELS - 1)
+}
+
 /// Errors of a single echo.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct EchoErrors {
-    /// In the worst window, at the worst place.
+    /// In the worst window, at the worst place; and in the worst one of each level.
     pub worst: f64,
+    pub by_level: [f64; LEVELS],
     /// rms over the echo and over the tested places.
     pub mean: f64,
 }
 
 impl EchoErrors {
+    fn new(mean: f64, by_level: [f64; LEVELS]) -> Self {
+        let worst = by_level.into_iter().fold(0.0, f64::max);
+        Self {
+            worst,
+            by_level,
+            mean,
+        }
+    }
+
+    /// At least this error in every window.
+    pub(super) fn at_least(self, error: f64) -> Self {
+        Self::new(self.mean.max(error), self.by_level.map(|of| of.max(error)))
+    }
+
     /// Of all places.
     fn of(places: impl Iterator<Item = Self>) -> Self {
         let (mut all, mut count) = (Self::default(), 0.0f64);
         for place in places {
             all.worst = all.worst.max(place.worst);
+            for (all, error) in all.by_level.iter_mut().zip(place.by_level) {
+                *all = all.max(error);
+            }
             all.mean += place.mean * place.mean;
             count += 1.0;
         }
@@ -74,7 +102,7 @@ pub(super) struct SingleEcho {
     gain: Vec<f64>,
     spectra: Vec<Vec<Complex64>>,
     /// Energies of the echoes in all windows. The energy of the noise is the minimum.
-    levels: Vec<Vec<f64>>,
+    levels: Vec<Levels>,
     windows: Windows,
     /// Instants per sample of these spectra.
     density: usize,
@@ -103,21 +131,39 @@ impl Windows {
         energies(spectrum, self.samples, self.instants)
     }
 
-    /// Energies of an echo. The energy of the noise is the minimum.
-    fn levels(&self, spectrum: &[Complex64]) -> Vec<f64> {
-        let mut levels = self.energies(spectrum.to_vec());
-        let noise = self.noise * levels.iter().copied().fold(0.0, f64::max);
-        levels
-            .iter_mut()
-            .for_each(|level| *level = level.max(noise));
-        levels
+    fn levels(&self, spectrum: &[Complex64]) -> Levels {
+        let mut energies = self.energies(spectrum.to_vec());
+        let strongest = energies.iter().copied().fold(0.0, f64::max);
+        let steps = energies.iter_mut().map(|energy| {
+            *energy = energy.max(self.noise * strongest);
+            level_of(*energy / strongest) as u8
+        });
+        let steps = steps.collect();
+        Levels { energies, steps }
     }
 
-    /// Largest ratio of the energies of the spectrum `rest` to `levels`.
-    fn worst(&self, rest: Vec<Complex64>, levels: &[f64]) -> f64 {
-        let off = self.energies(rest);
-        let shares = off.iter().zip(levels).map(|(off, level)| off / level);
-        shares.fold(0.0, f64::max).sqrt()
+    /// Errors of an echo, the spectrum `rest`, with these levels.
+    fn errors(&self, rest: Vec<Complex64>, levels: &Levels) -> [f64; LEVELS] {
+        levels.errors(&self.energies(rest))
+    }
+}
+
+/// Energies of an echo in all windows. The energy of the noise is the minimum.
+struct Levels {
+    energies: Vec<f64>,
+    /// As in [`level_of`].
+    steps: Vec<u8>,
+}
+
+impl Levels {
+    /// Largest ratios of these energies to those of the echo.
+    fn errors(&self, off: &[f64]) -> [f64; LEVELS] {
+        let mut worst = [0.0f64; LEVELS];
+        for ((off, level), step) in off.iter().zip(&self.energies).zip(&self.steps) {
+            let of_step = &mut worst[usize::from(*step)];
+            *of_step = of_step.max(off / level);
+        }
+        worst.map(f64::sqrt)
     }
 }
 
@@ -240,7 +286,7 @@ impl SingleEcho {
     ) -> EchoErrors {
         let echoes = self.spectra.iter().zip(&self.levels);
         EchoErrors::of(echoes.map(|(spectrum, levels)| {
-            let mut off = vec![0.0; levels.len()];
+            let mut off = vec![0.0; levels.energies.len()];
             let mut rest = 0.0;
             for i in 0..kernel.width {
                 let value = self.rounded_value(spectrum, (kernel, i), band, grid_hz, rounding);
@@ -250,11 +296,8 @@ impl SingleEcho {
                 }
             }
             let all: f64 = spectrum.iter().map(|x| x.norm_sqr()).sum();
-            let shares = off.iter().zip(levels).map(|(off, level)| off / level);
-            EchoErrors {
-                worst: shares.fold(0.0, f64::max).sqrt(),
-                mean: (rest / all.max(f64::MIN_POSITIVE)).sqrt(),
-            }
+            let mean = (rest / all.max(f64::MIN_POSITIVE)).sqrt();
+            EchoErrors::new(mean, levels.errors(&off))
         }))
     }
 
@@ -326,10 +369,11 @@ impl SingleEcho {
                 .map(|bin| fitted(bin) - echo[bin] * kept[bin])
                 .collect();
             let heard: Vec<Complex64> = echo.iter().zip(&self.gain).map(|(s, g)| s * g).collect();
-            EchoErrors {
-                mean: rms_ratio(&rest, &heard),
-                worst: self.windows.worst(rest, &self.windows.levels(&heard)),
-            }
+            let mean = rms_ratio(&rest, &heard);
+            EchoErrors::new(
+                mean,
+                self.windows.errors(rest, &self.windows.levels(&heard)),
+            )
         };
         let shares: Vec<f64> = cells
             .into_iter()
@@ -404,10 +448,8 @@ impl SingleEcho {
                 .zip(&amiss)
                 .map(|(s, off)| s * off)
                 .collect();
-            EchoErrors {
-                mean: rms_ratio(&rest, spectrum),
-                worst: self.windows.worst(rest, levels),
-            }
+            let mean = rms_ratio(&rest, spectrum);
+            EchoErrors::new(mean, self.windows.errors(rest, levels))
         }))
     }
 }
