@@ -158,6 +158,13 @@ impl EchoError {
         })
     }
 
+    /// Of a whole echo, and by the levels of windows, over that in the worst window.
+    pub(crate) fn over_window(self) -> (f64, [f64; LEVELS]) {
+        let window = self.window.max(f64::MIN_POSITIVE);
+        let over = |error: f64| (error / window).min(1.0);
+        (over(self.mean), self.by_level.map(over))
+    }
+
     /// With the range accelerations that echoes have, m/s^2.
     fn with_acceleration(self, rms_m_per_s2: f64) -> Self {
         let [of_each, most] = self.accelerated;
@@ -178,13 +185,6 @@ impl EchoError {
     fn before_this_ping(self, fading: f64) -> f64 {
         let of_echoes = self.window.max(fading * self.mean).min(self.most);
         of_echoes.hypot(self.spread)
-    }
-
-    /// Of a whole echo, and by the levels of windows, over that in the worst window.
-    pub(crate) fn over_window(self) -> (f64, [f64; LEVELS]) {
-        let window = self.window.max(f64::MIN_POSITIVE);
-        let over = |error: f64| (error / window).min(1.0);
-        (over(self.mean), self.by_level.map(over))
     }
 
     /// ... and of one that is: the ends of echoes have no more than these as a whole.

@@ -20,7 +20,6 @@ use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::scene::Scatterers;
-use echotank_synthesis::array::gridded::LEVELS;
 use echotank_synthesis::echo::error_models::{doppler_error, path_error};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics, PROMINENCES};
 
@@ -277,9 +276,7 @@ impl Promise {
         let of = Predicted {
             statistics: predicted,
             weights: &weights,
-            over_window: self
-                .echo_error
-                .map_or((1.0, [1.0; LEVELS]), EchoError::over_window),
+            over_window: self.echo_error.map(EchoError::over_window),
         };
         let heard = match ping.is_heard {
             true => windows.of_samples(spec, plan, scatterers, frames, of),

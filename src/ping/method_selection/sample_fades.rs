@@ -103,15 +103,15 @@ pub(super) struct Predicted<'a> {
     pub statistics: EchoStatistics,
     /// Error for each unit of a quantity.
     pub weights: &'a [f64; TRACKED],
-    /// Errors that the engine makes of a whole echo, and by the levels of windows, over that in the worst window.
-    pub over_window: (f64, [f64; LEVELS]),
+    /// Errors that the engine makes of a whole echo, and by the levels of windows, over that in the worst window; none of other methods.
+    pub over_window: Option<(f64, [f64; LEVELS])>,
 }
 
 /// What is known of windows with many echoes.
 struct Bounds {
     amounts: [f64; TRACKED],
     fading: f64,
-    /// How echoes begin.
+    /// How echoes begin, where their ends are looked at.
     onset: Option<Arc<EchoOnset>>,
 }
 
@@ -230,17 +230,22 @@ impl WindowStatistics {
         Predicted {
             statistics: predicted,
             weights,
-            over_window: (whole, by_level),
+            over_window,
         }: Predicted,
     ) -> EchoStatistics {
         let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
         let rate_hz = spec.receiver.sample_rate_hz;
         let echo = energies.mean * plan.pulse.duration_s * rate_hz;
         let count = (PAIRS / scatterers.len().max(1)).clamp(ELEMENTS.0, ELEMENTS.1);
-        let c = sound_speed_step_up(plan.sound_speed_m_per_s);
-        let filter = filter_design(spec, Synthesis::Direct, c);
-        // A filter that cannot be designed is refused elsewhere.
-        let onset = echo_onset(plan, rate_hz, filter).ok();
+        let onset = over_window.and_then(|(whole, by_level)| {
+            let c = sound_speed_step_up(plan.sound_speed_m_per_s);
+            let filter = filter_design(spec, Synthesis::Direct, c);
+            // A filter that cannot be designed is refused elsewhere.
+            let onset = echo_onset(plan, rate_hz, filter).ok()?;
+            let most = (OVERLAPPING * whole).powi(2).min(1.0);
+            self.ends.count(&onset, most, &by_level);
+            Some(onset)
+        });
         let mut before = predicted;
         let mut bounds = Bounds {
             amounts: [f64::INFINITY; TRACKED],
@@ -250,16 +255,11 @@ impl WindowStatistics {
         for (bound, value) in bounds.amounts.iter_mut().zip(quantities(&mut before)) {
             *bound = *value;
         }
-        if let Some(onset) = &bounds.onset {
-            let most = (OVERLAPPING * whole).powi(2).min(1.0);
-            self.ends.count(onset, most, &by_level);
-        }
         let mut worst = Worst {
             fading: OVERLAPPING,
-            ends: if bounds.onset.is_some() {
-                0.0
-            } else {
-                predicted.ends
+            ends: match bounds.onset {
+                Some(_) => 0.0,
+                None => predicted.ends,
             },
             ..Worst::default()
         };
