@@ -142,7 +142,7 @@ pub struct EchoError {
     pub spread: f64,
 }
 
-/// rms motions of all but the rarest echoes lie within so many times their rms.
+/// Motions of all but the rarest echoes lie within so many times their rms.
 pub(crate) const EXTREMES: f64 = 3.0;
 
 impl EchoError {
@@ -178,27 +178,21 @@ impl EchoError {
 
     /// In the worst window of a ping that is not made, with its `fading` and acceleration as in [`EchoStatistics`].
     pub(crate) fn before_ping(self, fading: f64, rms_m_per_s2: f64) -> f64 {
-        self.with_acceleration(rms_m_per_s2)
-            .before_this_ping(fading)
-    }
-
-    fn before_this_ping(self, fading: f64) -> f64 {
-        let of_echoes = self.window.max(fading * self.mean).min(self.most);
-        of_echoes.hypot(self.spread)
+        let of = self.with_acceleration(rms_m_per_s2);
+        let of_echoes = of.window.max(fading * of.mean).min(of.most);
+        of_echoes.hypot(of.spread)
     }
 
     /// ... and of one that is: the ends of echoes have no more than these as a whole.
     pub(crate) fn of_ping(self, heard: &EchoStatistics) -> f64 {
-        self.with_acceleration(heard.range_acceleration_m_per_s2)
-            .of_this_ping(heard)
-    }
-
-    fn of_this_ping(self, heard: &EchoStatistics) -> f64 {
-        let cut = Some(cut_echoes(heard.tails)).filter(|cut| *cut > 1.0);
-        let of_ends = heard.ends.max(cut.unwrap_or(0.0)) * self.window;
-        let of_ends = of_ends.min(heard.tails * self.mean);
-        let of_echoes = of_ends.max(heard.fading * self.mean).min(self.most);
-        of_echoes.hypot(self.spread)
+        let of = self.with_acceleration(heard.range_acceleration_m_per_s2);
+        let ends = match cut_echoes(heard.tails) {
+            cut if cut > 1.0 => heard.ends.max(cut),
+            _ => heard.ends,
+        };
+        let of_ends = (ends * of.window).min(heard.tails * of.mean);
+        let of_echoes = of_ends.max(heard.fading * of.mean).min(of.most);
+        of_echoes.hypot(of.spread)
     }
 }
 

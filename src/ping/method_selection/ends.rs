@@ -25,6 +25,7 @@ pub(super) struct Echo {
 
 /// The record of an element.
 pub(super) struct Record<'a> {
+    /// At least a window.
     pub signal: &'a [Complex64],
     /// Samples of a window and of a pulse.
     pub window: usize,
@@ -67,9 +68,6 @@ impl Ends {
     /// The largest rms of what the echoes count with in a window, over its level. Of two that are as strong, the errors may add.
     pub(super) fn worst(&mut self, record: &Record, onset: &EchoOnset) -> f64 {
         let &Record { signal, window, .. } = record;
-        if signal.len() < window {
-            return 0.0;
-        }
         let windows = signal.len() - window + 1;
         for sums in [&mut self.sums, &mut self.more] {
             sums.clear();

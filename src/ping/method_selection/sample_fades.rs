@@ -576,7 +576,7 @@ impl WindowStatistics {
         if let Some(onset) = &bounds.onset {
             let record = Record {
                 signal,
-                window: window_samples(plan.pulse.duration_s, rate_hz).min(signal.len()),
+                window,
                 pulse: plan.pulse.duration_s * rate_hz,
                 of_unit: pulse,
                 floor,

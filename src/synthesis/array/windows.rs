@@ -46,6 +46,37 @@ struct Asked {
     filter: Option<FilterDesign>,
 }
 
+/// The last [`KEPT`] results, by what they are of.
+struct Kept<T>(Mutex<Vec<(Asked, T)>>);
+
+impl<T: Clone> Kept<T> {
+    const fn new() -> Self {
+        Self(Mutex::new(Vec::new()))
+    }
+
+    /// A result that is kept, or that `make` has of a single echo. Only the pulse of `plan` matters.
+    fn get_or_make(
+        &self,
+        plan: &PingPlan,
+        asked: Asked,
+        make: impl FnOnce(&SingleEcho) -> T,
+    ) -> Result<T, FilterError> {
+        let results = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, result)) = results().iter().find(|(of, _)| *of == asked) {
+            return Ok(result.clone());
+        }
+        let filter = asked.filter.map(|f| f.decimator()).transpose()?;
+        let echo = SingleEcho::new(asked.synthesis, plan, asked.rate_hz, filter.as_ref());
+        let result = make(&echo);
+        let mut results = results();
+        if results.len() >= KEPT {
+            results.remove(0);
+        }
+        results.push((asked, result.clone()));
+        Ok(result)
+    }
+}
+
 /// Errors of one echo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SingleEchoErrors {
@@ -86,31 +117,22 @@ pub(super) fn window_error(
     rate_hz: f64,
     filter: Option<FilterDesign>,
 ) -> Result<SingleEchoErrors, FilterError> {
-    static RESULTS: Mutex<Vec<(Asked, SingleEchoErrors)>> = Mutex::new(Vec::new());
+    static RESULTS: Kept<SingleEchoErrors> = Kept::new();
     let asked = Asked {
         synthesis,
         pulse: plan.pulse,
         rate_hz,
         filter,
     };
-    let results = || RESULTS.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((_, error)) = results().iter().find(|(of, _)| *of == asked) {
-        return Ok(*error);
-    }
     let doppler = filter.map_or(0.0, |f| f.doppler_hz / plan.pulse.center_frequency_hz);
-    let filter = filter.map(|f| f.decimator()).transpose()?;
-    let worst = SingleEcho::new(synthesis, plan, rate_hz, filter.as_ref()).worst(doppler);
-    let error = SingleEchoErrors {
-        window: MORE * worst.window,
-        whole: MORE * worst.whole,
-        whole_at_worst: MORE * worst.whole_at_worst,
-    };
-    let mut results = results();
-    if results.len() >= KEPT {
-        results.remove(0);
-    }
-    results.push((asked, error));
-    Ok(error)
+    RESULTS.get_or_make(plan, asked, |echo| {
+        let worst = echo.worst(doppler);
+        SingleEchoErrors {
+            window: MORE * worst.window,
+            whole: MORE * worst.whole,
+            whole_at_worst: MORE * worst.whole_at_worst,
+        }
+    })
 }
 
 /// Errors of one echo that is displaced in time, in its worst window, for each radian of its carrier at the end of the pulse.
@@ -128,28 +150,15 @@ pub fn displaced_echo_errors<const N: usize>(
     filter: Option<FilterDesign>,
     shapes: [fn(f64) -> f64; N],
 ) -> Result<[f64; N], FilterError> {
-    static RESULTS: Mutex<Vec<(Asked, Vec<f64>)>> = Mutex::new(Vec::new());
+    static RESULTS: Kept<Vec<f64>> = Kept::new();
     let asked = Asked {
         synthesis: Synthesis::Direct,
         pulse: plan.pulse,
         rate_hz,
         filter,
     };
-    let results = || RESULTS.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((_, errors)) = results().iter().find(|(of, _)| *of == asked)
-        && let Ok(errors) = <[f64; N]>::try_from(errors.as_slice())
-    {
-        return Ok(errors);
-    }
-    let filter = filter.map(|f| f.decimator()).transpose()?;
-    let echo = SingleEcho::new(Synthesis::Direct, plan, rate_hz, filter.as_ref());
-    let errors = echo.displaced(shapes);
-    let mut results = results();
-    if results.len() >= KEPT {
-        results.remove(0);
-    }
-    results.push((asked, errors.to_vec()));
-    Ok(errors)
+    let errors = RESULTS.get_or_make(plan, asked, |echo| echo.displaced(shapes).to_vec())?;
+    Ok(std::array::from_fn(|k| errors[k]))
 }
 
 /// Energy of an echo up to a sample, over that of the whole, by how many samples the echo began before it. Behind the receiver filter it begins earlier. Pulse
@@ -196,26 +205,14 @@ pub fn echo_onset(
     rate_hz: f64,
     filter: Option<FilterDesign>,
 ) -> Result<Arc<EchoOnset>, FilterError> {
-    static RESULTS: Mutex<Vec<(Asked, Arc<EchoOnset>)>> = Mutex::new(Vec::new());
+    static RESULTS: Kept<Arc<EchoOnset>> = Kept::new();
     let asked = Asked {
         synthesis: Synthesis::Direct,
         pulse: plan.pulse,
         rate_hz,
         filter,
     };
-    let results = || RESULTS.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((_, onset)) = results().iter().find(|(of, _)| *of == asked) {
-        return Ok(onset.clone());
-    }
-    let filter = filter.map(|f| f.decimator()).transpose()?;
-    let echo = SingleEcho::new(Synthesis::Direct, plan, rate_hz, filter.as_ref());
-    let onset = Arc::new(echo.onset());
-    let mut results = results();
-    if results.len() >= KEPT {
-        results.remove(0);
-    }
-    results.push((asked, onset.clone()));
-    Ok(onset)
+    RESULTS.get_or_make(plan, asked, |echo| Arc::new(echo.onset()))
 }
 
 /// Carrier phase of test displacements, radians: small against 1, and large against the error of the quadrature.
@@ -320,7 +317,7 @@ impl<'a> SingleEcho<'a> {
         const FINE: usize = EchoOnset::PER_SAMPLE;
         let before = self.silence - self.window;
         let covered = (before + EchoOnset::MOST).min(self.samples - self.window);
-        let mut energies = vec![0.0; covered * FINE];
+        let mut energies = vec![0.0; (covered - 1) * FINE + 1];
         for k in 0..FINE {
             let echo = self.exactly(k as f64 / FINE as f64, 0.0);
             let whole: f64 = echo.iter().map(|x| x.norm_sqr()).sum();
@@ -500,6 +497,28 @@ mod tests {
     use super::*;
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest;
+
+    /// The table of a chirp behind the receiver filter: half of its energy at its middle, next to none before the filter hears it, and never less than before.
+    #[test]
+    fn an_echo_has_half_of_its_energy_at_its_middle() {
+        const SAMPLES: f64 = 40.0;
+        let pulse = Pulse {
+            kind: PulseKind::LfmUp,
+            center_frequency_hz: 200e3,
+            bandwidth_hz: 20e3,
+            duration_s: SAMPLES / RATE_HZ,
+            taper: 0.25,
+        };
+        let filter = design(Synthesis::Direct, &pulse);
+        let plan = plan_at_rest(&pulse, 200, 1500.0);
+        let onset = echo_onset(&plan, RATE_HZ, Some(filter)).expect("fits");
+        let up_to = |samples: f64| onset.energies()[onset.index(samples).expect("in the table")];
+        assert!((up_to(0.5 * SAMPLES) - 0.5).abs() < 0.03);
+        assert!(up_to(-0.9 * onset.before() as f64) < 1e-6);
+        assert!(onset.index(-1.1 * onset.before() as f64).is_none());
+        assert!(onset.energies().is_sorted_by(|a, b| *b > *a - 1e-3));
+        assert!(up_to(1e3) > 0.999);
+    }
 
     /// A lone echo over the noise floor of its own, and over that of a record whose strongest window is 20 dB below it.
     #[test]

@@ -67,6 +67,22 @@ fn samples(scene: &Scene, engine: &mut GriddedLines) -> Vec<Complex64> {
     iq
 }
 
+/// Elements keep the tolerance. `iq`: samples of all elements; `case`: to print.
+fn assert_kept(
+    (scene, iq): (&Scene, &[Complex64]),
+    elements: impl IntoIterator<Item = usize>,
+    (tolerance, pulse_s): (f64, f64),
+    case: &str,
+) {
+    let count = scene.plan.sample_count;
+    for element in elements {
+        let want = truth(scene, element, false);
+        let error = worst(&iq[element * count..][..count], &want, pulse_s);
+        println!("{case}, element {element}: asked {tolerance:.0e}, delivered {error:.1e}");
+        assert!(error <= tolerance, "{case}, element {element}: {error:e}");
+    }
+}
+
 /// Largest error of any window of one pulse length. It is relative to the level of the window or to a noise 55 dB below the
 /// strongest, whichever is larger.
 fn worst(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
@@ -181,16 +197,9 @@ fn lines_of_any_number_of_elements_keep_the_tolerance() {
         let tolerance = 1e-3;
         let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
         let iq = samples(&scene, &mut engine);
-        for element in [(elements - 1) / 16 * 16, elements - 1] {
-            let want = truth(&scene, element, false);
-            let got = &iq[element * scene.plan.sample_count..][..scene.plan.sample_count];
-            let error = worst(got, &want, 0.4e-3);
-            println!("element {element} of {elements}: {error:.1e}");
-            assert!(
-                error <= tolerance,
-                "element {element} of {elements}: {error:e}"
-            );
-        }
+        let last = [(elements - 1) / 16 * 16, elements - 1];
+        let case = format!("{elements} elements");
+        assert_kept((&scene, &iq), last, (tolerance, 0.4e-3), &case);
     }
 }
 
@@ -212,13 +221,12 @@ fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
     let tolerance = 5e-3;
     let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
     let iq = samples(&scene, &mut engine);
-    for element in [0, 7, 19] {
-        let want = truth(&scene, element, false);
-        let got = &iq[element * scene.plan.sample_count..][..scene.plan.sample_count];
-        let error = worst(got, &want, 0.4e-3);
-        println!("element {element}: {error:.1e}");
-        assert!(error <= tolerance, "element {element}: {error:e}");
-    }
+    assert_kept(
+        (&scene, &iq),
+        [0, 7, 19],
+        (tolerance, 0.4e-3),
+        "long elements",
+    );
     let design = Design::new(&spec(&scene, &scene.rx, tolerance)).expect("within reach");
     assert!(design.nodes(&scene.rx, 36.0).is_some());
     assert_eq!(design.nodes(&scene.rx, 5.0), None);
@@ -253,15 +261,7 @@ fn an_engine_for_near_scatterers_interpolates_them() {
     };
     assert!(beyond(50.0, &mut iq) > 0);
     assert_eq!(beyond(5.0, &mut iq), 0);
-    for element in [0, 9, 19] {
-        let error = worst(
-            &iq[element * count..][..count],
-            &truth(&scene, element, false),
-            0.4e-3,
-        );
-        println!("element {element}: {error:.1e}");
-        assert!(error <= tolerance, "element {element}: {error:e}");
-    }
+    assert_kept((&scene, &iq), [0, 9, 19], (tolerance, 0.4e-3), "near");
 }
 
 /// Nodes are chosen by the distance from the array, which may lie far from the transmitter.
@@ -284,15 +284,12 @@ fn scatterers_near_the_array_and_far_from_the_transmitter_keep_the_tolerance() {
     let mut iq = vec![Complex64::ONE; scene.rx.elements * count];
     let counts = engine.synthesise(&scene.plan, &leg, &mut iq);
     assert_eq!(counts.beyond_engine, 0);
-    for element in [0, 9, 39] {
-        let error = worst(
-            &iq[element * count..][..count],
-            &truth(&scene, element, false),
-            0.4e-3,
-        );
-        println!("element {element}: {error:.1e}");
-        assert!(error <= tolerance, "element {element}: {error:e}");
-    }
+    assert_kept(
+        (&scene, &iq),
+        [0, 9, 39],
+        (tolerance, 0.4e-3),
+        "near the array",
+    );
 }
 
 /// The errors of a single moving echo: in its worst window, and rms over its places on the grid, which differ from element to element.
@@ -512,15 +509,8 @@ fn dopplers_that_change_along_a_block_keep_the_tolerance() {
         scene.decimator = decimator.expect("fits");
         let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
         let iq = samples(&scene, &mut engine);
-        for element in [0, 7, 15, 16, 33] {
-            let want = truth(&scene, element, false);
-            let got = &iq[element * scene.plan.sample_count..][..scene.plan.sample_count];
-            let error = worst(got, &want, 10e-3);
-            println!(
-                "{speed_m_per_s} m/s, element {element}: asked {tolerance:.0e}, delivered {error:.1e}"
-            );
-            assert!(error <= tolerance, "element {element}: {error:e}");
-        }
+        let case = format!("{speed_m_per_s} m/s");
+        assert_kept((&scene, &iq), [0, 7, 15, 16, 33], (tolerance, 10e-3), &case);
     }
 }
 
