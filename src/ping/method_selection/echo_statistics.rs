@@ -80,7 +80,7 @@ pub(super) const GROWTH: [Growth; TRACKED] = [
 ];
 
 /// A phase within an echo, over the share t of the pulse.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) enum Growth {
     Constant,
     /// t and t^2, each with a mean square of 1 over the pulse.
@@ -102,6 +102,15 @@ impl Growth {
         Self::Square,
         Self::Cubic,
         Self::Unsteady,
+    ];
+
+    /// Of all growths.
+    pub(super) const SHAPES: [fn(f64) -> f64; GROWTHS] = [
+        |t| Self::Constant.at(t),
+        |t| Self::Linear.at(t),
+        |t| Self::Square.at(t),
+        |t| Self::Cubic.at(t),
+        |t| Self::Unsteady.at(t),
     ];
 
     fn at(self, t: f64) -> f64 {
@@ -183,16 +192,9 @@ impl Energies {
     pub(super) fn with_displaced_ends(mut self, spec: &SonarSpec, plan: &PingPlan) -> Self {
         let c = sound_speed_step_up(plan.sound_speed_m_per_s);
         let filter = filter_design(spec, Synthesis::Direct, c);
-        let shapes: [fn(f64) -> f64; GROWTHS] = [
-            |t| Growth::Constant.at(t),
-            |t| Growth::Linear.at(t),
-            |t| Growth::Square.at(t),
-            |t| Growth::Cubic.at(t),
-            |t| Growth::Unsteady.at(t),
-        ];
         let rate_hz = spec.receiver.sample_rate_hz;
         // A filter that cannot be designed is refused elsewhere.
-        if let Ok(errors) = displaced_echo_errors(plan, rate_hz, filter, shapes) {
+        if let Ok(errors) = displaced_echo_errors(plan, rate_hz, filter, Growth::SHAPES) {
             for ((last, part), error) in self.last.iter_mut().zip(self.last_part).zip(errors) {
                 *last = last.max(error / part);
             }
@@ -402,7 +404,14 @@ pub fn echo_statistics(
             parts.fill(Part::default());
             let ends = (array, element);
             let receiver = ReceivingElement::new(spec, (plan, &poses), transmit, ends, INSTANTS);
-            receiver.accumulate(plan, scatterers, &energies, part_s, &mut parts, |_, _| ());
+            receiver.accumulate(
+                plan,
+                scatterers,
+                &energies,
+                part_s,
+                &mut parts,
+                |_, _, _| (),
+            );
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
             if mean == 0.0 {
                 continue;
@@ -902,12 +911,9 @@ impl Leg {
         };
         let (one, two) = (off_m(0), off_m(1));
         let ends_m = [one[0] + two[0], one[1] + two[1]];
-        let worst_m = if ends_m[0].abs() > ends_m[1].abs() {
-            ends_m[0]
-        } else {
-            ends_m[1]
-        };
-        let third = 3.0 * worst_m / half_s.powi(3);
+        // A fourth order makes one end the worse, whichever way the third goes.
+        let worst_m = ends_m[0].abs().max(ends_m[1].abs());
+        let third = 3.0 * worst_m.copysign(ends_m[1] - ends_m[0]) / half_s.powi(3);
         [second, third]
     }
 }
@@ -1316,7 +1322,7 @@ impl ReceivingElement {
         energies: &Energies,
         part_s: f64,
         parts: &mut [Part],
-        mut begins_with: impl FnMut(f64, f64),
+        mut begins_with: impl FnMut(f64, f64, &[f64; TRACKED]),
     ) {
         // Of a pulse, in parts.
         let length = plan.pulse.duration_s / part_s;
@@ -1370,7 +1376,7 @@ impl ReceivingElement {
             let first = &mut parts[begins as usize];
             first.echoes += weight;
             first.begun += energy;
-            begins_with(begins * part_s, energy);
+            begins_with(begins * part_s, energy, &echo.values);
             first.begun2 += energy * energy;
             let mut from = energies.upto[0];
             for (k, part) in parts.iter_mut().enumerate().skip(begins as usize) {

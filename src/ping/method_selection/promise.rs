@@ -66,6 +66,8 @@ pub(super) struct PingPromise {
     is_heard: bool,
     /// Error of path and Doppler in the worst window, over the sum of those in the worst window of each cause.
     jointly: f64,
+    /// Error of path and Doppler in windows that hold no more than the ends of echoes, where the samples of the ping tell.
+    ends: f64,
     /// Of edges of sharp pulses that cross samples, where the ping's own tell.
     edges: f64,
     /// Of virtual points, of the sum, and of all the rest that is neither path nor Doppler.
@@ -138,6 +140,7 @@ impl Promise {
             },
             is_heard: !is_reference && few,
             jointly: 1.0,
+            ends: 0.0,
             edges: 0.0,
             bent,
             sum: self.sum,
@@ -184,7 +187,8 @@ impl Promise {
             ..ping.conditions
         };
         let doppler = doppler_error(self.doppler, path, &conditions);
-        let of_phase = ping.jointly * (path_error(path, &conditions) + doppler) + ping.bent;
+        let of_windows = ping.jointly * (path_error(path, &conditions) + doppler);
+        let of_phase = of_windows.max(ping.ends) + ping.bent;
         (of_phase + ping.edges).hypot(ping.sum).hypot(ping.others)
     }
 
@@ -295,6 +299,8 @@ impl Promise {
         if ping.is_heard {
             ping.edges = self.error_of_edges((spec, plan), scatterers, frames, ping);
         }
+        // There are no windows between these.
+        ping.ends = windows.error_of_ends() / BETWEEN;
         let error = BETWEEN * self.error(plan, ping, ping.path, ping.segment_s);
         ping.error = match ping.is_heard {
             true => error,

@@ -16,10 +16,10 @@ use echotank_core::ping::{ElementFrame, PingPlan};
 use echotank_core::pulse::{MIN_WINDOW, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::gridded::LEVELS;
-use echotank_synthesis::array::{EchoOnset, echo_onset};
+use echotank_synthesis::array::{EchoEnds, echo_ends};
 use echotank_synthesis::echo::Chord;
 use echotank_synthesis::echo::levels::amplitude_from_db;
-use echotank_synthesis::error_model::{EchoStatistics, OVERLAPPING};
+use echotank_synthesis::error_model::{Conditions, EchoStatistics, OVERLAPPING};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -27,10 +27,10 @@ use crate::conditions::sound_speed_step_up;
 use crate::element_synthesis::filter_design;
 use crate::error_check::window_samples;
 use crate::method_selection::echo_statistics::{
-    ALONE, Energies, GROWTH, OFF_PATH, OFF_VELOCITY, Part, Poses, ReceivingElement, SAMPLED,
-    SINGLE, TRACKED, quantities,
+    ALONE, Energies, GROWTH, GROWTHS, Growth, OFF_PATH, OFF_VELOCITY, Part, Poses,
+    ReceivingElement, SAMPLED, SINGLE, TRACKED, quantities,
 };
-use crate::method_selection::ends::{Echo, Ends, Record};
+use crate::method_selection::ends::{Echo, Ends, FEW, Record, error_of_phases, peak_of, peaks};
 use crate::method_selection::fades;
 
 /// So many echoes of a ping, the first ones, are looked at where there are too many to look at all: at the onset few interfere.
@@ -49,12 +49,6 @@ const INSTANTS: usize = 8;
 /// within limits.
 const ELEMENTS: (usize, usize) = (3, 16);
 const PAIRS: usize = 3000;
-/// Logarithm of the number of windows that fade about as deep as the deepest: so many chances the errors in them have to add up.
-const LOOKS: f64 = 3.0;
-/// With fewer echoes than this in a window, some pair of them may keep its phase difference in all of it.
-const FEW: f64 = 8.0;
-/// Degrees of freedom of the energy of echoes that keep their phase differences.
-const OF_FEW: f64 = 1.0;
 
 /// Whether a ping has so few scatterers that all of them are looked at: with the fewest elements of an array that this takes, at most [`PAIRS`] pairs.
 pub(super) fn are_few(spec: &SonarSpec, scatterers: &Scatterers) -> bool {
@@ -111,8 +105,9 @@ pub(super) struct Predicted<'a> {
 struct Bounds {
     amounts: [f64; TRACKED],
     fading: f64,
-    /// How echoes begin, where their ends are looked at.
-    onset: Option<Arc<EchoOnset>>,
+    /// The ends of an echo, of filters that can be designed; and whether they count with the errors of an engine.
+    ends: Option<Arc<EchoEnds>>,
+    looks_at_engine: bool,
 }
 
 /// Buffers for one element.
@@ -131,6 +126,8 @@ pub(super) struct WindowStatistics {
     amounts: Vec<[f64; TRACKED]>,
     onset: Onset,
     ends: Ends,
+    /// From the phases of windows that hold no more than the ends of echoes.
+    error_of_ends: f64,
     /// Of the platform's track, with `k-segment`.
     chords: Vec<Chord>,
 }
@@ -237,33 +234,34 @@ impl WindowStatistics {
         let rate_hz = spec.receiver.sample_rate_hz;
         let echo = energies.mean * plan.pulse.duration_s * rate_hz;
         let count = (PAIRS / scatterers.len().max(1)).clamp(ELEMENTS.0, ELEMENTS.1);
-        let onset = over_window.and_then(|(whole, by_level)| {
-            let c = sound_speed_step_up(plan.sound_speed_m_per_s);
-            let filter = filter_design(spec, Synthesis::Direct, c);
-            // A filter that cannot be designed is refused elsewhere.
-            let onset = echo_onset(plan, rate_hz, filter).ok()?;
+        let c = sound_speed_step_up(plan.sound_speed_m_per_s);
+        let filter = filter_design(spec, Synthesis::Direct, c);
+        // A filter that cannot be designed is refused elsewhere.
+        let ends = echo_ends(plan, rate_hz, filter, Growth::SHAPES).ok();
+        if let (Some((whole, by_level)), Some(ends)) = (over_window, &ends) {
             let most = (OVERLAPPING * whole).powi(2).min(1.0);
-            self.ends.count(&onset, most, &by_level);
-            Some(onset)
-        });
+            self.ends.count(ends, most, &by_level);
+        }
         let mut before = predicted;
         let mut bounds = Bounds {
             amounts: [f64::INFINITY; TRACKED],
             fading: predicted.fading,
-            onset,
+            looks_at_engine: over_window.is_some() && ends.is_some(),
+            ends,
         };
         for (bound, value) in bounds.amounts.iter_mut().zip(quantities(&mut before)) {
             *bound = *value;
         }
         let mut worst = Worst {
             fading: OVERLAPPING,
-            ends: match bounds.onset {
-                Some(_) => 0.0,
-                None => predicted.ends,
+            ends: match bounds.looks_at_engine {
+                true => 0.0,
+                false => predicted.ends,
             },
             ..Worst::default()
         };
         self.amounts.clear();
+        self.error_of_ends = 0.0;
         self.chords.clear();
         if plan.model.path == PathModel::KSegment {
             Chord::all(plan, &mut self.chords);
@@ -299,6 +297,7 @@ impl WindowStatistics {
                     scatterers,
                     of,
                     (&energies, window, until),
+                    weights,
                 );
                 if k < outermost {
                     let first = plan.first_sample_s * rate_hz;
@@ -346,6 +345,11 @@ impl WindowStatistics {
         let worst = self.amounts.iter().map(error).fold(0.0, f64::max);
         let apart = error(&largest);
         if apart > 0.0 { worst / apart } else { 1.0 }
+    }
+
+    /// The error of path and Doppler in the worst window of ends of echoes.
+    pub(super) fn error_of_ends(&self) -> f64 {
+        Conditions::error_of_phase(self.error_of_ends)
     }
 
     /// Raises the expected energies of errors, window by window, to those of the element that was summed last.
@@ -417,6 +421,7 @@ impl WindowStatistics {
         scatterers: &Scatterers,
         (array, element): (&ArrayGeometry, usize),
         (energies, window, until): (&Energies, usize, usize),
+        weights: &[f64; TRACKED],
     ) {
         let rate_hz = spec.receiver.sample_rate_hz;
         let step_s = window as f64 / rate_hz / STEPS as f64;
@@ -441,9 +446,18 @@ impl WindowStatistics {
             energies,
             step_s,
             parts,
-            |begins_s, energy| {
-                let begins = (begins_s - plan.first_sample_s) * rate_hz;
-                ends.echoes.push(Echo { begins, energy });
+            |begins_s, energy, values| {
+                let [mut phases, mut magnitudes] = [[0.0; GROWTHS]; 2];
+                for ((value, weight), growth) in values.iter().zip(weights).zip(GROWTH) {
+                    phases[growth as usize] += value * weight;
+                    magnitudes[growth as usize] += (value * weight).abs();
+                }
+                ends.echoes.push(Echo {
+                    begins: (begins_s - plan.first_sample_s) * rate_hz,
+                    energy,
+                    phases,
+                    magnitudes,
+                });
             },
         );
     }
@@ -541,10 +555,7 @@ impl WindowStatistics {
         let floor = strongest.fold(loudest, f64::max) * noise_share();
         let against = |level: f64| level.max(floor).max(f64::MIN_POSITIVE);
         let independent = fades::independent_of_pulse(&plan.pulse, window as f64 / rate_hz);
-        let peaks = (
-            fades::worst_peak(LOOKS, OF_FEW),
-            fades::worst_peak(LOOKS, independent),
-        );
+        let peaks = peaks(independent);
         // The receiver filter answers so long before and after an echo, and echoes that began so many steps ago may still sound.
         let tail = tail_samples(spec);
         let ago = ((plan.pulse.duration_s * rate_hz + tail) / step).ceil() as usize;
@@ -573,7 +584,7 @@ impl WindowStatistics {
         }
         self.amounts = amounts;
         worst.tails = worst.tails.max(OVERLAPPING * tails2.sqrt());
-        if let Some(onset) = &bounds.onset {
+        if let Some(ends) = &bounds.ends {
             let record = Record {
                 signal,
                 window,
@@ -581,8 +592,11 @@ impl WindowStatistics {
                 of_unit: pulse,
                 floor,
             };
-            let ends = self.ends.worst(&record, onset);
-            worst.ends = worst.ends.max(ends);
+            if bounds.looks_at_engine {
+                worst.ends = worst.ends.max(self.ends.worst(&record, ends));
+            }
+            let of_phases = self.ends.worst_phase(&record, ends, peaks);
+            self.error_of_ends = self.error_of_ends.max(of_phases);
         }
         self.find_ends(floor, energies, worst);
     }
@@ -591,7 +605,7 @@ impl WindowStatistics {
     fn amounts_of(
         &self,
         (from, to): (&Upto, &Upto),
-        (floor, peaks): (f64, (f64, f64)),
+        (floor, peaks): (f64, [f64; 2]),
         bounds: &Bounds,
         worst: &mut Worst,
     ) -> Option<[f64; TRACKED]> {
@@ -604,20 +618,13 @@ impl WindowStatistics {
         // Of what sounds at the same time: at the onset of several echoes, none of them sounds as a whole.
         let loudest = (to.loudest - from.loudest).max(f64::MIN_POSITIVE);
         let crowd = (energy / loudest).max(1.0);
-        // Errors may add up where the echoes cancel: the amplitude of the loudest and that of all others as one.
-        let peak = match crowd {
-            ..ALONE => 1.0,
-            ..FEW => peaks.0.min((1.0 + (crowd - 1.0).sqrt()).powi(2)),
-            _ => peaks.1,
-        };
-        let ratio = peak * energy / against;
+        let ratio = peak_of(crowd, peaks) * energy / against;
         let faded = OVERLAPPING * ratio.sqrt();
         worst.fading = worst.fading.max(if crowd < FEW {
             faded
         } else {
             faded.min(bounds.fading)
         });
-        let heard = (level / against).sqrt();
         let margin = if crowd < SINGLE { SAMPLED } else { OVERLAPPING };
         let mut amounts = [0.0; TRACKED];
         for (q, amount) in amounts.iter_mut().enumerate() {
@@ -629,9 +636,7 @@ impl WindowStatistics {
             });
             let square = (end.1 - begin.1).max(0.0) / energy;
             let mean = (end.0 - begin.0).abs() / energy;
-            let variance = (square - mean * mean).max(0.0);
-            let all = (square * ratio).sqrt();
-            let sum = all.min(mean * heard + (variance * ratio).sqrt());
+            let sum = error_of_phases(mean, square, ratio, level / against);
             let bound = match crowd < FEW {
                 true => f64::INFINITY,
                 false => bounds.amounts[q],
@@ -746,9 +751,10 @@ mod tests {
             let bounds = Bounds {
                 amounts: [f64::INFINITY; TRACKED],
                 fading: f64::INFINITY,
-                onset: None,
+                ends: None,
+                looks_at_engine: false,
             };
-            let peaks = (fades::worst_peak(LOOKS, OF_FEW), 1.0);
+            let peaks = [peaks(1.0)[0], 1.0];
             let mut worst = Worst::default();
             windows
                 .amounts_of((&from, &to), (1e-6, peaks), &bounds, &mut worst)

@@ -23,4 +23,4 @@ mod windows;
 pub use direct::Direct;
 pub use filter::{Decimator, FilterDesign, FilterError, oversample};
 pub use receiver::{fill_gains, receive};
-pub use windows::{EchoOnset, cut_echoes, displaced_echo_errors, echo_onset};
+pub use windows::{DisplacedSums, EchoEnd, EchoEnds, cut_echoes, displaced_echo_errors, echo_ends};

@@ -161,19 +161,54 @@ pub fn displaced_echo_errors<const N: usize>(
     Ok(std::array::from_fn(|k| errors[k]))
 }
 
-/// Energy of an echo up to a sample, over that of the whole, by how many samples the echo began before it. Behind the receiver filter it begins earlier. Pulse
-/// and filter are symmetric: it is the energy from a sample on, too, by how many samples later the echo ends.
+/// What of an echo, and of its displacements, lies before a sample or behind it, by how far the sample is from an end of the echo. Behind the receiver
+/// filter an echo begins earlier and ends later.
 #[derive(Debug)]
-pub struct EchoOnset {
-    /// Samples before the beginning at which the table begins.
+pub struct EchoEnds {
+    /// Samples before the beginning at which the tables begin.
     before: usize,
-    /// At every [`Self::PER_SAMPLE`]-th of a sample.
+    /// Of the energy of an echo, up to a sample, by how many samples the echo began before it. Pulse and filter are symmetric: it is the energy from a
+    /// sample on, too, by how many samples later the echo ends. At every [`Self::PER_SAMPLE`]-th of a sample.
     energies: Vec<f64>,
+    /// Errors of displacements: up to a sample, from a sample on, and of the whole echo. `[index][shape]`.
+    begins: Vec<DisplacedSums>,
+    ends: Vec<DisplacedSums>,
+    whole: Vec<DisplacedSums>,
 }
 
-impl EchoOnset {
+/// Sums over samples of an echo that is displaced, for each radian of its carrier at the highest frequency of the sweep, over the energy of the echo.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DisplacedSums {
+    /// Of energy times phase.
+    pub phase: f64,
+    /// Of the squares of errors.
+    pub square: f64,
+}
+
+impl DisplacedSums {
+    /// With another sample, of an echo of unit energy.
+    fn and(self, got: Complex64, want: Complex64) -> Self {
+        let off = (got - want) / DISPLACED_RAD;
+        Self {
+            // What is late has a negative phase.
+            phase: self.phase - (off * want.conj()).im,
+            square: self.square + off.norm_sqr(),
+        }
+    }
+}
+
+/// An end of an echo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum EchoEnd {
+    /// Where it begins.
+    Begin,
+    /// Where it ends.
+    End,
+}
+
+impl EchoEnds {
     const PER_SAMPLE: usize = 8;
-    /// Samples behind the beginning that the table covers at most.
+    /// Samples from an end of an echo that the tables cover at most.
     const MOST: usize = 64;
 
     /// Samples before an echo's beginning from which it is heard.
@@ -181,12 +216,27 @@ impl EchoOnset {
         self.before
     }
 
-    /// The table.
+    /// The table of energies.
     pub fn energies(&self) -> &[f64] {
         &self.energies
     }
 
-    /// Index in the table of so many samples behind the beginning; none before it. Behind it, the last one.
+    /// The errors of all shapes up to here in the tables.
+    pub fn errors(&self, end: EchoEnd, index: usize) -> &[DisplacedSums] {
+        let table = match end {
+            EchoEnd::Begin => &self.begins,
+            EchoEnd::End => &self.ends,
+        };
+        let shapes = self.whole.len();
+        &table[index * shapes..(index + 1) * shapes]
+    }
+
+    /// ... of whole echoes.
+    pub fn whole(&self) -> &[DisplacedSums] {
+        &self.whole
+    }
+
+    /// Index in the tables of so many samples from an end; none before it. Behind it, the last one.
     pub fn index(&self, samples: f64) -> Option<usize> {
         let place = ((samples + self.before as f64) * Self::PER_SAMPLE as f64).round();
         (place >= 0.0).then(|| (place as usize).min(self.energies.len() - 1))
@@ -197,22 +247,28 @@ impl EchoOnset {
         let index = self.energies.partition_point(|energy| *energy < share);
         index as f64 / Self::PER_SAMPLE as f64 - self.before as f64
     }
+
+    /// How many samples the tables cover behind the beginning.
+    pub fn covered(&self) -> f64 {
+        (self.energies.len() - 1) as f64 / Self::PER_SAMPLE as f64 - self.before as f64
+    }
 }
 
-/// The beginning of a single echo. Results are kept, as those of [`displaced_echo_errors`].
-pub fn echo_onset(
+/// The ends of a single echo. `shapes`: of displacements, as in [`displaced_echo_errors`]. Results are kept as there.
+pub fn echo_ends<const N: usize>(
     plan: &PingPlan,
     rate_hz: f64,
     filter: Option<FilterDesign>,
-) -> Result<Arc<EchoOnset>, FilterError> {
-    static RESULTS: Kept<Arc<EchoOnset>> = Kept::new();
+    shapes: [fn(f64) -> f64; N],
+) -> Result<Arc<EchoEnds>, FilterError> {
+    static RESULTS: Kept<Arc<EchoEnds>> = Kept::new();
     let asked = Asked {
         synthesis: Synthesis::Direct,
         pulse: plan.pulse,
         rate_hz,
         filter,
     };
-    RESULTS.get_or_make(plan, asked, |echo| Arc::new(echo.onset()))
+    RESULTS.get_or_make(plan, asked, |echo| Arc::new(echo.ends(&shapes)))
 }
 
 /// Carrier phase of test displacements, radians: small against 1, and large against the error of the quadrature.
@@ -291,6 +347,13 @@ impl<'a> SingleEcho<'a> {
         worst
     }
 
+    /// [`DISPLACED_RAD`] at the highest frequency of the sweep, seconds.
+    fn displaced_s(&self) -> f64 {
+        let pulse = &self.plan.pulse;
+        let highest_hz = pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz;
+        DISPLACED_RAD / (std::f64::consts::TAU * highest_hz)
+    }
+
     /// See [`displaced_echo_errors`].
     fn displaced<const N: usize>(&self, shapes: [fn(f64) -> f64; N]) -> [f64; N] {
         let looked_at = match self.filter {
@@ -298,9 +361,7 @@ impl<'a> SingleEcho<'a> {
             None => UNFILTERED_SAMPLES,
         };
         let places = (looked_at / self.samples).clamp(DISPLACED_PLACES.0, DISPLACED_PLACES.1);
-        let pulse = &self.plan.pulse;
-        let highest_hz = pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz;
-        let late_s = DISPLACED_RAD / (std::f64::consts::TAU * highest_hz);
+        let late_s = self.displaced_s();
         let mut worst = [0.0f64; N];
         for place in (0..places).map(|k| k as f64 / places as f64) {
             let want = self.late(place, |_| 0.0);
@@ -312,25 +373,66 @@ impl<'a> SingleEcho<'a> {
         worst
     }
 
-    /// See [`echo_onset`].
-    fn onset(&self) -> EchoOnset {
-        const FINE: usize = EchoOnset::PER_SAMPLE;
+    /// See [`echo_ends`].
+    fn ends(&self, shapes: &[fn(f64) -> f64]) -> EchoEnds {
+        const FINE: usize = EchoEnds::PER_SAMPLE;
         let before = self.silence - self.window;
-        let covered = (before + EchoOnset::MOST).min(self.samples - self.window);
-        let mut energies = vec![0.0; (covered - 1) * FINE + 1];
+        let covered = (before + EchoEnds::MOST).min(self.samples - self.window);
+        let entries = (covered - 1) * FINE + 1;
+        let mut energies = vec![0.0; entries];
+        let none = DisplacedSums::default();
+        let [mut begins, mut ends] = [(); 2].map(|()| vec![none; entries * shapes.len()]);
+        let mut whole = vec![none; shapes.len()];
+        let sounding = self.plan.pulse.duration_s * self.rate_hz;
+        let late_s = self.displaced_s();
         for k in 0..FINE {
-            let echo = self.exactly(k as f64 / FINE as f64, 0.0);
-            let whole: f64 = echo.iter().map(|x| x.norm_sqr()).sum();
+            let place = k as f64 / FINE as f64;
+            // The echo begins `before` samples and `k` of them later, behind `window` samples.
+            let index_of = |n: usize| ((n - self.window) * FINE).checked_sub(k);
+            let ends_at = ((self.silence + before) as f64 + place + sounding) * FINE as f64;
+            let index_from = |n: usize| (ends_at.round() as usize).checked_sub(n * FINE);
+            let want = self.exactly(place, 0.0);
+            let energy: f64 = want.iter().map(|x| x.norm_sqr()).sum();
             let mut up_to = 0.0;
-            for (m, x) in echo.iter().skip(self.window).take(covered).enumerate() {
+            for (n, x) in want.iter().enumerate().skip(self.window).take(covered) {
                 up_to += x.norm_sqr();
-                // The echo begins `before` samples and k of them later.
-                if let Some(index) = (m * FINE).checked_sub(k) {
-                    energies[index] = up_to / whole;
+                if let Some(index) = index_of(n) {
+                    energies[index] = up_to / energy;
                 }
             }
+            let unit = energy.sqrt().recip();
+            let late = |late_s: &dyn Fn(f64) -> f64| {
+                let samples = self.late(place, late_s).into_iter();
+                samples.map(|x| x * unit).collect::<Vec<Complex64>>()
+            };
+            let want = late(&|_| 0.0);
+            for (s, shape) in shapes.iter().enumerate() {
+                let got = late(&|share| late_s * shape(share));
+                let mut up_to = none;
+                for n in self.window..self.window + covered {
+                    up_to = up_to.and(got[n], want[n]);
+                    if let Some(index) = index_of(n) {
+                        begins[index * shapes.len() + s] = up_to;
+                    }
+                }
+                let mut from = none;
+                for n in (0..self.samples).rev() {
+                    from = from.and(got[n], want[n]);
+                    if let Some(index) = index_from(n).filter(|index| *index < entries) {
+                        ends[index * shapes.len() + s] = from;
+                    }
+                }
+                // The place between two samples makes no difference.
+                whole[s] = from;
+            }
         }
-        EchoOnset { before, energies }
+        EchoEnds {
+            before,
+            energies,
+            begins,
+            ends,
+            whole,
+        }
     }
 
     /// An echo that begins `place` samples after a sample. Its sound of the share s of the pulse comes `late_s(s)` seconds late.
@@ -511,13 +613,46 @@ mod tests {
         };
         let filter = design(Synthesis::Direct, &pulse);
         let plan = plan_at_rest(&pulse, 200, 1500.0);
-        let onset = echo_onset(&plan, RATE_HZ, Some(filter)).expect("fits");
-        let up_to = |samples: f64| onset.energies()[onset.index(samples).expect("in the table")];
+        let ends = echo_ends(&plan, RATE_HZ, Some(filter), SHAPES).expect("fits");
+        let up_to = |samples: f64| ends.energies()[ends.index(samples).expect("in the table")];
         assert!((up_to(0.5 * SAMPLES) - 0.5).abs() < 0.03);
-        assert!(up_to(-0.9 * onset.before() as f64) < 1e-6);
-        assert!(onset.index(-1.1 * onset.before() as f64).is_none());
-        assert!(onset.energies().is_sorted_by(|a, b| *b > *a - 1e-3));
+        assert!(up_to(-0.9 * ends.before() as f64) < 1e-6);
+        assert!(ends.index(-1.1 * ends.before() as f64).is_none());
+        assert!(ends.energies().is_sorted_by(|a, b| *b > *a - 1e-3));
         assert!(up_to(1e3) > 0.999);
+    }
+
+    const SHAPES: [fn(f64) -> f64; 2] = [|_| 1.0, |t| 2.0 * t - 1.0];
+
+    /// Of an even pulse without a filter: a constant displacement has the phase of the carrier, and a linear one about its middle that of its place.
+    #[test]
+    fn the_ends_of_a_displaced_echo_have_its_phases() {
+        const SAMPLES: f64 = 40.0;
+        let pulse = pulse(0.0, SAMPLES / RATE_HZ, 0.0);
+        let plan = plan_at_rest(&pulse, 200, 1500.0);
+        let ends = echo_ends(&plan, RATE_HZ, None, SHAPES).expect("no filter");
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 0.03, "{a} {b}");
+        for samples in [2.5, 10.25, 20.0, 39.5, 60.0] {
+            let index = ends.index(samples).expect("in the table");
+            let share = (samples / SAMPLES).min(1.0);
+            near(ends.energies()[index], share);
+            for (end, sign) in [(EchoEnd::Begin, -1.0), (EchoEnd::End, 1.0)] {
+                let [constant, linear] = *ends.errors(end, index) else {
+                    panic!("two shapes");
+                };
+                near(constant.phase, share);
+                near(constant.square, share);
+                // From the end inwards, 1 - 2 x.
+                near(linear.phase, sign * (share - share.powi(2)));
+                near(linear.square, (1.0 - (1.0 - 2.0 * share).powi(3)) / 6.0);
+            }
+        }
+        let [constant, linear] = *ends.whole() else {
+            panic!("two shapes");
+        };
+        near(constant.phase, 1.0);
+        near(linear.phase, 0.0);
+        near(linear.square, 1.0 / 3.0);
     }
 
     /// A lone echo over the noise floor of its own, and over that of a record whose strongest window is 20 dB below it.
