@@ -186,8 +186,13 @@ impl Promise {
             segment_s: segment_step_s(window_s, segment_s),
             ..ping.conditions
         };
-        let doppler = doppler_error(self.doppler, path, &conditions);
-        let of_windows = ping.jointly * (path_error(path, &conditions) + doppler);
+        let of_path = path_error(path, &conditions);
+        let of_doppler = doppler_error(self.doppler, path, &conditions);
+        // An echo of the opposite sign is off by twice itself, and may be louder than all that is left of a window.
+        let is_opposite = of_path.max(of_doppler) >= Conditions::error_of_phase(f64::INFINITY);
+        let fading = conditions.echo_statistics.map_or(1.0, |e| e.fading);
+        let louder = if is_opposite { fading.max(1.0) } else { 1.0 };
+        let of_windows = louder * ping.jointly * (of_path + of_doppler);
         let of_phase = of_windows.max(ping.ends) + ping.bent;
         (of_phase + ping.edges).hypot(ping.sum).hypot(ping.others)
     }
