@@ -33,7 +33,7 @@ pub const SAMPLE_SIZE: usize = 20_000;
 pub(super) const INSTANTS: usize = 64;
 /// ... for [`echo_peaks`], which looks at about so many pairs of a scatterer and an end of an array, and at no more scatterers that are near.
 const FEW_INSTANTS: usize = 8;
-const FEW_SCATTERERS: usize = 400;
+const FEW_SCATTERERS: usize = 256;
 /// Rounding of finite differences of velocities, m/s^2.
 const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.

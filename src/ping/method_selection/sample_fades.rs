@@ -13,7 +13,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, ReceiverFilter};
 use echotank_core::model::{PathModel, Synthesis};
 use echotank_core::ping::{ElementFrame, PingPlan};
-use echotank_core::pulse::{MIN_WINDOW, noise_share};
+use echotank_core::pulse::{MIN_WINDOW, Pulse, noise_share};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::gridded::LEVELS;
 use echotank_synthesis::array::{EchoEnds, echo_ends};
@@ -110,6 +110,32 @@ struct Bounds {
     looks_at_engine: bool,
 }
 
+/// What is known of a single echo.
+struct Tables {
+    pulse: Pulse,
+    sound_speed_m_per_s: f64,
+    energies: Energies,
+    /// None of filters that cannot be designed, which are refused elsewhere.
+    ends: Option<Arc<EchoEnds>>,
+}
+
+impl Tables {
+    /// Those of the ping before, if they hold for this one. The receiver is the same.
+    fn of(spec: &SonarSpec, plan: &PingPlan, before: Option<Box<Self>>) -> Box<Self> {
+        let c = sound_speed_step_up(plan.sound_speed_m_per_s);
+        if let Some(same) = before.filter(|b| b.pulse == plan.pulse && b.sound_speed_m_per_s == c) {
+            return same;
+        }
+        let filter = filter_design(spec, Synthesis::Direct, c);
+        Box::new(Self {
+            pulse: plan.pulse,
+            sound_speed_m_per_s: c,
+            energies: Energies::new(&plan.pulse).with_displaced_ends(spec, plan),
+            ends: echo_ends(plan, spec.receiver.sample_rate_hz, filter, Growth::SHAPES).ok(),
+        })
+    }
+}
+
 /// Buffers for one element.
 #[derive(Default)]
 pub(super) struct WindowStatistics {
@@ -126,6 +152,8 @@ pub(super) struct WindowStatistics {
     amounts: Vec<[f64; TRACKED]>,
     onset: Onset,
     ends: Ends,
+    /// Of the last ping.
+    tables: Option<Box<Tables>>,
     /// From the phases of windows that hold no more than the ends of echoes.
     error_of_ends: f64,
     /// Of the platform's track, with `k-segment`.
@@ -137,6 +165,9 @@ pub(super) struct WindowStatistics {
 struct Onset {
     first: Scatterers,
     delays_s: Vec<(f64, usize)>,
+    /// Scatterers that may be, and ways of all.
+    near: Vec<usize>,
+    ways_m: Vec<f64>,
     /// Transmitter and element, world, metres.
     ends_m: Vec<[DVec3; 2]>,
 }
@@ -153,22 +184,31 @@ impl Onset {
     ) -> f64 {
         self.ends_m.clear();
         self.ends_m.extend(ends_m);
-        let closing = 1.0 - 2.0 * moving;
-        let delay_s = |i: usize| {
-            let ways_m = self.ends_m.iter().map(|[transmit_m, element_m]| {
-                let out_m = scatterers.transmit_m(i).distance(*transmit_m);
-                out_m + scatterers.position_m(i).distance(*element_m)
-            });
-            ways_m.fold(f64::INFINITY, f64::min) * closing / c
-        };
-        self.delays_s.clear();
-        self.delays_s
-            .extend((0..scatterers.len()).map(|i| (delay_s(i), i)));
         let mut next_s = f64::INFINITY;
+        self.delays_s.clear();
         if scatterers.len() > FIRST {
+            self.find_near(scatterers);
+            let Self {
+                near,
+                ends_m,
+                delays_s,
+                ..
+            } = self;
+            let closing = 1.0 - 2.0 * moving;
+            let delay_s = |i: usize| {
+                let ways_m = ends_m.iter().map(|[transmit_m, element_m]| {
+                    let out_m = scatterers.transmit_m(i).distance(*transmit_m);
+                    out_m + scatterers.position_m(i).distance(*element_m)
+                });
+                ways_m.fold(f64::INFINITY, f64::min) * closing / c
+            };
+            delays_s.extend(near.iter().map(|&i| (delay_s(i), i)));
             let earlier = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0);
-            next_s = self.delays_s.select_nth_unstable_by(FIRST, earlier).1.0;
-            self.delays_s.truncate(FIRST);
+            next_s = delays_s.select_nth_unstable_by(FIRST, earlier).1.0;
+            delays_s.truncate(FIRST);
+        } else {
+            self.delays_s
+                .extend((0..scatterers.len()).map(|i| (0.0, i)));
         }
         self.first.clear();
         self.first.curve.clone_from(&scatterers.curve);
@@ -176,6 +216,32 @@ impl Onset {
             self.first.push_copy(scatterers, *i, 1.0);
         }
         next_s
+    }
+
+    /// Finds some scatterers among which the first [`FIRST`] are, and the next: by their ways from one point amid all ends, which differ from the others by
+    /// two distances of an end from there at most.
+    fn find_near(&mut self, scatterers: &Scatterers) {
+        let all_m = || self.ends_m.iter().flatten();
+        let amid_m = all_m().sum::<DVec3>() / all_m().count().max(1) as f64;
+        let arms_m = all_m().map(|end_m| end_m.distance(amid_m));
+        let arm_m = arms_m.fold(0.0, f64::max);
+        let way_m = |i: usize| {
+            let back_m = scatterers.position_m(i).distance(amid_m);
+            match scatterers.transmit.is_empty() {
+                true => 2.0 * back_m,
+                false => back_m + scatterers.transmit_m(i).distance(amid_m),
+            }
+        };
+        let Self { near, ways_m, .. } = self;
+        ways_m.clear();
+        ways_m.extend((0..scatterers.len()).map(way_m));
+        // For the selection, which changes their order.
+        let len = ways_m.len();
+        ways_m.extend_from_within(..);
+        let (ways_m, copy_m) = ways_m.split_at_mut(len);
+        let next_m = *copy_m.select_nth_unstable_by(FIRST, f64::total_cmp).1;
+        near.clear();
+        near.extend((0..len).filter(|&i| ways_m[i] <= next_m + 4.0 * arm_m));
     }
 }
 
@@ -230,15 +296,16 @@ impl WindowStatistics {
             over_window,
         }: Predicted,
     ) -> EchoStatistics {
-        let energies = Energies::new(&plan.pulse).with_displaced_ends(spec, plan);
+        let tables = Tables::of(spec, plan, self.tables.take());
+        let (energies, ends) = (&tables.energies, &tables.ends);
         let rate_hz = spec.receiver.sample_rate_hz;
         let echo = energies.mean * plan.pulse.duration_s * rate_hz;
-        let count = (PAIRS / scatterers.len().max(1)).clamp(ELEMENTS.0, ELEMENTS.1);
-        let c = sound_speed_step_up(plan.sound_speed_m_per_s);
-        let filter = filter_design(spec, Synthesis::Direct, c);
-        // A filter that cannot be designed is refused elsewhere.
-        let ends = echo_ends(plan, rate_hz, filter, Growth::SHAPES).ok();
-        if let (Some((whole, by_level)), Some(ends)) = (over_window, &ends) {
+        let count = match until_s < f64::INFINITY {
+            // Of many echoes, only the onset: the ends of an array tell about as much of it as its other elements.
+            true => ELEMENTS.0,
+            false => (PAIRS / scatterers.len().max(1)).clamp(ELEMENTS.0, ELEMENTS.1),
+        };
+        if let (Some((whole, by_level)), Some(ends)) = (over_window, ends) {
             let most = (OVERLAPPING * whole).powi(2).min(1.0);
             self.ends.count(ends, most, &by_level);
         }
@@ -247,7 +314,7 @@ impl WindowStatistics {
             amounts: [f64::INFINITY; TRACKED],
             fading: predicted.fading,
             looks_at_engine: over_window.is_some() && ends.is_some(),
-            ends,
+            ends: ends.clone(),
         };
         for (bound, value) in bounds.amounts.iter_mut().zip(quantities(&mut before)) {
             *bound = *value;
@@ -296,14 +363,14 @@ impl WindowStatistics {
                     (plan, &poses),
                     scatterers,
                     of,
-                    (&energies, window, until),
+                    (energies, window, until),
                     weights,
                 );
                 if k < outermost {
                     let first = plan.first_sample_s * rate_hz;
                     self.add_to_profile(window, samples, first, weights);
                 }
-                let of = (&energies, &bounds);
+                let of = (energies, &bounds);
                 let signal = frame.element(element);
                 let strongest = match samples == signal.len() {
                     true => 0.0,
@@ -317,6 +384,7 @@ impl WindowStatistics {
                 }
             }
         }
+        self.tables = Some(tables);
         let mut statistics = EchoStatistics {
             fading: worst.fading,
             tails: worst.tails,

@@ -44,12 +44,21 @@ const INSTANTS_OF_PREDICTIONS: usize = 16;
 
 /// Levels of windows below the strongest one, in steps of 5 dB. The last has all weaker ones.
 pub const LEVELS: usize = 12;
-const LEVEL_DB: f64 = 5.0;
+const ROOT_OF_TEN: f64 = 3.162_277_660_168_379_5;
+/// The shares of the energy where they begin.
+const BELOW: [f64; LEVELS - 1] = {
+    let mut below = [1.0 / ROOT_OF_TEN; LEVELS - 1];
+    let mut step = 1;
+    while step < LEVELS - 1 {
+        below[step] = below[step - 1] / ROOT_OF_TEN;
+        step += 1;
+    }
+    below
+};
 
 /// The step of [`LEVELS`] of a window with this share of the energy of the strongest one.
 pub fn level_of(share: f64) -> usize {
-    let steps = -10.0 * libm::log10(share.max(f64::MIN_POSITIVE)) / LEVEL_DB;
-    (steps.max(0.0) as usize).min(LEVELS - 1)
+    BELOW.iter().map(|below| usize::from(share <= *below)).sum()
 }
 
 /// Errors of a single echo.
