@@ -183,15 +183,17 @@ impl EchoError {
         of_echoes.hypot(of.spread)
     }
 
-    /// ... and of one that is: the ends of echoes have no more than these as a whole.
-    pub(crate) fn of_ping(self, heard: &EchoStatistics) -> f64 {
+    /// ... and of one that is: the ends of echoes have no more than these as a whole. `between`: how much further windows may fade between those that
+    /// were looked at.
+    pub(crate) fn of_ping(self, heard: &EchoStatistics, between: f64) -> f64 {
         let of = self.with_acceleration(heard.range_acceleration_m_per_s2);
         let ends = match cut_echoes(heard.tails) {
             cut if cut > 1.0 => heard.ends.max(cut),
             _ => heard.ends,
         };
         let of_ends = (ends * of.window).min(heard.tails * of.mean);
-        let of_echoes = of_ends.max(heard.fading * of.mean).min(of.most);
+        let of_windows = between * heard.fading * of.mean;
+        let of_echoes = of_ends.max(of_windows).min(of.most);
         of_echoes.hypot(of.spread)
     }
 }

@@ -66,6 +66,8 @@ pub(super) struct PingPromise {
     is_heard: bool,
     /// Error of path and Doppler in the worst window, over the sum of those in the worst window of each cause.
     jointly: f64,
+    /// How much further windows may fade between those that are looked at.
+    between: f64,
     /// Error of path and Doppler in windows that hold no more than the ends of echoes, where the samples of the ping tell.
     ends: f64,
     /// Of edges of sharp pulses that cross samples, where the ping's own tell.
@@ -140,6 +142,7 @@ impl Promise {
             },
             is_heard: !is_reference && few,
             jointly: 1.0,
+            between: 1.0,
             ends: 0.0,
             edges: 0.0,
             bent,
@@ -193,7 +196,8 @@ impl Promise {
         let fading = conditions.echo_statistics.map_or(1.0, |e| e.fading);
         let louder = if is_opposite { fading.max(1.0) } else { 1.0 };
         let of_windows = louder * ping.jointly * (of_path + of_doppler);
-        let of_phase = of_windows.max(ping.ends) + ping.bent;
+        // There are no windows between those of ends.
+        let of_phase = (ping.between * of_windows).max(ping.ends) + ping.bent;
         (of_phase + ping.edges).hypot(ping.sum).hypot(ping.others)
     }
 
@@ -265,11 +269,11 @@ impl Promise {
         (frames, is_direct): (&[ElementFrame], bool),
         (ping, windows): (&mut PingPromise, &mut WindowStatistics),
     ) {
-        let sum_of_direct = |ping: &PingPromise| {
-            sum_error_model(Synthesis::Direct, spec, plan, &ping.conditions).error
+        let sum_of = |synthesis: Synthesis, ping: &PingPromise| {
+            ping.between * sum_error_model(synthesis, spec, plan, &ping.conditions).error
         };
         if !ping.is_heard && is_direct {
-            ping.sum = sum_of_direct(ping);
+            ping.sum = sum_of(Synthesis::Direct, ping);
             ping.error = self.error(plan, ping, ping.path, ping.segment_s);
         }
         let looked_at = !self.is_reference() && scatterers.len() <= ONSETS;
@@ -293,20 +297,20 @@ impl Promise {
         };
         let before = ping.error;
         ping.conditions.echo_statistics = Some(heard);
+        ping.between = BETWEEN;
         if is_direct {
-            ping.sum = sum_of_direct(ping);
+            ping.sum = sum_of(Synthesis::Direct, ping);
         } else if let Some(echo) = self.echo_error {
-            ping.sum = echo.of_ping(&heard);
+            ping.sum = echo.of_ping(&heard, BETWEEN);
         } else if !self.synthesis.keeps_tolerance() {
-            ping.sum = sum_error_model(self.synthesis, spec, plan, &ping.conditions).error;
+            ping.sum = sum_of(self.synthesis, ping);
         }
         ping.jointly = windows.jointly(&weights);
         if ping.is_heard {
             ping.edges = self.error_of_edges((spec, plan), scatterers, frames, ping);
         }
-        // There are no windows between these.
-        ping.ends = windows.error_of_ends() / BETWEEN;
-        let error = BETWEEN * self.error(plan, ping, ping.path, ping.segment_s);
+        ping.ends = windows.error_of_ends();
+        let error = self.error(plan, ping, ping.path, ping.segment_s);
         ping.error = match ping.is_heard {
             true => error,
             false => error.max(before),

@@ -857,12 +857,12 @@ pub(crate) fn refine(
             ray_m = at_m - pose.point_m(track.element_m);
             let leg_m = ray_m.length();
             let residual_m = c * delay_s - batch.range_m[i] - leg_m;
-            let closing = pose.point_velocity_m_per_s(track.element_m).dot(ray_m)
-                / leg_m.max(f64::MIN_POSITIVE);
+            let velocity = pose.point_velocity_m_per_s(track.element_m);
+            let closing = velocity.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE);
             let step_s = -residual_m / (c + closing).max(0.9 * c);
             delay_s += step_s;
-            // The ray is that of the position before this last step, at most millimetres away. The
-            // delay no longer changes.
+            // The delay no longer changes, and the element goes the rest of the way.
+            ray_m -= velocity * step_s;
             if step_s.abs() <= SETTLED_S {
                 break;
             }

@@ -42,8 +42,9 @@ const END_CELLS: usize = 12;
 /// filter a window with the first samples of an echo may be weak at one place between two samples, and twice as strong an eighth of a sample beside it.
 const INSTANTS_OF_PREDICTIONS: usize = 16;
 
-/// Levels of windows below the strongest one, in steps of 5 dB. The last has all weaker ones.
-pub const LEVELS: usize = 12;
+/// Levels of windows below the strongest one, in steps of 5 dB. The last has all weaker ones. They go on below the noise floor: of several echoes, what none
+/// of them has above it may be.
+pub const LEVELS: usize = 20;
 const ROOT_OF_TEN: f64 = 3.162_277_660_168_379_5;
 /// The shares of the energy where they begin.
 const BELOW: [f64; LEVELS - 1] = {
@@ -144,8 +145,9 @@ impl Windows {
         let mut energies = self.energies(spectrum.to_vec());
         let strongest = energies.iter().copied().fold(0.0, f64::max);
         let steps = energies.iter_mut().map(|energy| {
+            let step = level_of(*energy / strongest) as u8;
             *energy = energy.max(self.noise * strongest);
-            level_of(*energy / strongest) as u8
+            step
         });
         let steps = steps.collect();
         Levels { energies, steps }
