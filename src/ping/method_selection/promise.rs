@@ -12,7 +12,7 @@ use crate::method_selection::echo_statistics::{
 };
 use crate::method_selection::edges::error_of_edges;
 use crate::method_selection::moving::{IN_PING, moving_error, sum_error};
-use crate::method_selection::sample_fades::{Predicted, WindowStatistics, are_few};
+use crate::method_selection::sample_fades::{Predicted, WindowStatistics, are_few, are_heard};
 use crate::methods::{Candidate, EchoError, Family};
 use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
@@ -140,7 +140,7 @@ impl Promise {
                 pulse: plan.pulse,
                 ..conditions
             },
-            is_heard: !is_reference && few,
+            is_heard: !is_reference && are_heard(spec, scatterers, self.synthesis),
             jointly: 1.0,
             between: 1.0,
             ends: 0.0,
@@ -276,7 +276,7 @@ impl Promise {
             ping.sum = sum_of(Synthesis::Direct, ping);
             ping.error = self.error(plan, ping, ping.path, ping.segment_s);
         }
-        let looked_at = !self.is_reference() && scatterers.len() <= ONSETS;
+        let looked_at = ping.is_heard || !self.is_reference() && scatterers.len() <= ONSETS;
         let Some(predicted) = ping.conditions.echo_statistics.filter(|_| looked_at) else {
             return;
         };

@@ -50,11 +50,26 @@ const INSTANTS: usize = 8;
 const ELEMENTS: (usize, usize) = (3, 16);
 const PAIRS: usize = 3000;
 
-/// Whether a ping has so few scatterers that all of them are looked at: with the fewest elements of an array that this takes, at most [`PAIRS`] pairs.
+/// Whether a ping has so few scatterers that all of them are looked at, before it: with the fewest elements of an array that this takes, at most [`PAIRS`]
+/// pairs.
 pub(super) fn are_few(spec: &SonarSpec, scatterers: &Scatterers) -> bool {
+    pairs(spec, scatterers) <= PAIRS
+}
+
+/// ... and after it. The direct sum takes so long for a pair that three times as many count little.
+pub(super) fn are_heard(spec: &SonarSpec, scatterers: &Scatterers, synthesis: Synthesis) -> bool {
+    let most = match synthesis {
+        Synthesis::Direct => 3 * PAIRS,
+        _ => PAIRS,
+    };
+    pairs(spec, scatterers) <= most
+}
+
+/// The fewest pairs of scatterers and elements that are looked at.
+fn pairs(spec: &SonarSpec, scatterers: &Scatterers) -> usize {
     let elements = spec.receive.iter().map(|array| array.elements);
     let fewest = elements.max().unwrap_or(1).min(ELEMENTS.0);
-    scatterers.len() * fewest <= PAIRS
+    scatterers.len() * fewest
 }
 
 /// Sums up to a sample.
