@@ -193,8 +193,8 @@ impl Ends {
         (self.most, self.beyond) = (most, ends.samples_of(most));
     }
 
-    /// Finds the levels of the windows, and which are quiet.
-    fn find_levels(&mut self, record: &Record) {
+    /// Finds the levels of the windows, and which are quiet: before [`Self::worst`] and [`Self::worst_phase`] of the record.
+    pub(super) fn hear(&mut self, record: &Record) {
         let &Record { signal, window, .. } = record;
         let mut level: f64 = signal[..window - 1].iter().map(|x| x.norm_sqr()).sum();
         self.levels.clear();
@@ -216,7 +216,6 @@ impl Ends {
 
     /// The largest rms of what the echoes count with in a window, over its level. Of two that are as strong, the errors may add.
     pub(super) fn worst(&mut self, record: &Record, ends: &EchoEnds) -> f64 {
-        self.find_levels(record);
         let Self {
             echoes,
             counted,
@@ -247,7 +246,6 @@ impl Ends {
 
     /// The largest error from the phases of the echoes in a quiet window with no more than their ends. `peaks`: as those of [`peak_of`].
     pub(super) fn worst_phase(&mut self, record: &Record, ends: &EchoEnds, peaks: [f64; 2]) -> f64 {
-        self.find_levels(record);
         let Self {
             echoes,
             windows,
@@ -384,7 +382,9 @@ mod tests {
             magnitudes: [0.0; GROWTHS],
         }));
         ends.count(&table, most, &[1.0; LEVELS]);
-        ends.worst(&record(&signal, PULSE as f64, FLOOR), &table)
+        let record = record(&signal, PULSE as f64, FLOOR);
+        ends.hear(&record);
+        ends.worst(&record, &table)
     }
 
     #[test]
@@ -483,6 +483,7 @@ mod tests {
             let mut ends = Ends::default();
             ends.echoes.extend(echoes.chain([strong]));
             let record = record(&want, of_unit, floor / of_unit);
+            ends.hear(&record);
             let got = ends.worst_phase(&record, &table(&pulse), peaks(2.0));
             println!("taper {taper}, {case:?}: {measured:.2e}, at most {got:.2e}");
             assert!(got >= measured, "{taper} {case:?}: {got:e} {measured:e}");

@@ -49,6 +49,8 @@ const INSTANTS: usize = 8;
 /// within limits.
 const ELEMENTS: (usize, usize) = (3, 16);
 const PAIRS: usize = 3000;
+/// ... and in all, after a ping that the direct sum makes: it takes so long for a pair that these count little.
+const PAIRS_OF_DIRECT: usize = 3 * PAIRS;
 
 /// Whether a ping has so few scatterers that all of them are looked at, before it: with the fewest elements of an array that this takes, at most [`PAIRS`]
 /// pairs.
@@ -56,10 +58,10 @@ pub(super) fn are_few(spec: &SonarSpec, scatterers: &Scatterers) -> bool {
     pairs(spec, scatterers) <= PAIRS
 }
 
-/// ... and after it. The direct sum takes so long for a pair that three times as many count little.
+/// ... and after it.
 pub(super) fn are_heard(spec: &SonarSpec, scatterers: &Scatterers, synthesis: Synthesis) -> bool {
     let most = match synthesis {
-        Synthesis::Direct => 3 * PAIRS,
+        Synthesis::Direct => PAIRS_OF_DIRECT,
         _ => PAIRS,
     };
     pairs(spec, scatterers) <= most
@@ -675,6 +677,7 @@ impl WindowStatistics {
                 of_unit: pulse,
                 floor,
             };
+            self.ends.hear(&record);
             if bounds.looks_at_engine {
                 worst.ends = worst.ends.max(self.ends.worst(&record, ends));
             }

@@ -857,12 +857,12 @@ pub(crate) fn refine(
             ray_m = at_m - pose.point_m(track.element_m);
             let leg_m = ray_m.length();
             let residual_m = c * delay_s - batch.range_m[i] - leg_m;
-            let velocity = pose.point_velocity_m_per_s(track.element_m);
-            let closing = velocity.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE);
+            let velocity_m_per_s = pose.point_velocity_m_per_s(track.element_m);
+            let closing = velocity_m_per_s.dot(ray_m) / leg_m.max(f64::MIN_POSITIVE);
             let step_s = -residual_m / (c + closing).max(0.9 * c);
             delay_s += step_s;
             // The delay no longer changes, and the element goes the rest of the way.
-            ray_m -= velocity * step_s;
+            ray_m -= velocity_m_per_s * step_s;
             if step_s.abs() <= SETTLED_S {
                 break;
             }
