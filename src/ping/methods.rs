@@ -134,8 +134,8 @@ pub struct EchoError {
     pub window: f64,
     /// In windows whose levels below the strongest are those of [`level_of`](echotank_synthesis::array::gridded::level_of).
     pub by_level: [f64; LEVELS],
-    /// In any window of a ping, at most.
-    pub most: f64,
+    /// In any window of a ping that is not made yet, at most, and of one that is.
+    pub most: [f64; 2],
     /// What second derivatives of the range add: for each metre per second squared, and at most.
     pub accelerated: [f64; 2],
     /// Rounding errors that spread over the record, relative to the noise floor.
@@ -152,7 +152,7 @@ impl EchoError {
             mean: self.mean.max(other.mean),
             window: self.window.max(other.window),
             by_level: std::array::from_fn(|step| self.by_level[step].max(other.by_level[step])),
-            most: self.most.max(other.most),
+            most: [0, 1].map(|k| self.most[k].max(other.most[k])),
             accelerated: [0, 1].map(|k| self.accelerated[k].max(other.accelerated[k])),
             spread: self.spread.max(other.spread),
         })
@@ -179,7 +179,7 @@ impl EchoError {
     /// In the worst window of a ping that is not made, with its `fading` and acceleration as in [`EchoStatistics`].
     pub(crate) fn before_ping(self, fading: f64, rms_m_per_s2: f64) -> f64 {
         let of = self.with_acceleration(rms_m_per_s2);
-        let of_echoes = of.window.max(fading * of.mean).min(of.most);
+        let of_echoes = of.window.max(fading * of.mean).min(of.most[0]);
         of_echoes.hypot(of.spread)
     }
 
@@ -193,7 +193,7 @@ impl EchoError {
         };
         let of_ends = (ends * of.window).min(heard.tails * of.mean);
         let of_windows = between * heard.fading * of.mean;
-        let of_echoes = of_ends.max(of_windows).min(of.most);
+        let of_echoes = of_ends.max(of_windows).min(of.most[1]);
         of_echoes.hypot(of.spread)
     }
 }

@@ -44,7 +44,7 @@ use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::echo_profile::EchoProfile;
 use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points};
 use echotank_synthesis::array::filter::{Decimator, FilterDesign};
-use echotank_synthesis::array::gridded::{CostEstimate, LEVELS, shared_out};
+use echotank_synthesis::array::gridded::{CostEstimate, shared_out};
 use echotank_synthesis::array::lines;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
@@ -73,11 +73,9 @@ const ACROSS: f64 = 3.0;
 const ENGINE_MARGIN: f64 = 3.0;
 /// ... but `gridded-1d` leaves no more than this of the tolerance that it is made for, in windows with the end of a single echo too.
 const KEPT_BY_ONE: f64 = 1.0;
-/// The error of a single echo of `gridded-1d` is that of its worst window and place. Those of its interpolations over delay and Doppler count as of random
-/// phase, and are up to 1.4 times as great where they have the same (a test of the engine).
+/// The error of a single echo is that of its worst window and place. Those of an engine's interpolations over delay and Doppler count as of random phase,
+/// and are up to 1.4 times as great where they have the same (tests of the engines).
 const SINGLE_MARGIN: f64 = 1.4;
-/// ... and of `gridded-lines`, where patterns turn along a line: 1.8 times as much was measured (`tests/data/points/rolling.toml`).
-const SINGLE_MARGIN_OF_LINES: f64 = 2.0;
 /// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
 const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 /// The error that `gridded-2d` predicts leaves out the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
@@ -86,8 +84,9 @@ const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// `gridded-lines` predicts its error in the worst window of many echoes. In windows with the onset of a single echo, 50 dB below the strongest, 2.5
-/// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`). Where many echoes sound together, random rigs over seabeds had up to
-/// 1.5 times that (`tools/accuracy rigs`).
+/// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`), and 2.3 times where the first few of many cancel: errors over Doppler are
+/// alike in echoes of the same motion, and cancel with them. Where many echoes sound together, random rigs over seabeds had up to 1.5 times that
+/// (`tools/accuracy rigs`).
 const ONSETS_OF_LINES: f64 = 2.6;
 const MANY_ON_LINES: f64 = 1.6;
 /// Many are so many echoes that begin in a window, on the average. With 36, the windows before the bottom held so few that 2.4 times the design's error was
@@ -872,15 +871,16 @@ impl<'a> CandidateBuilder<'a> {
                 Some(resting.error(index, echo, &phase_errors))
             };
             let known = self.is_at_rest().then(at_rest).flatten();
-            let [mean, window] = line.echo_errors(array, self.line_motion());
-            let window = SINGLE_MARGIN_OF_LINES * window;
+            let (mean, by_level) = line.echo_errors(array, self.line_motion());
+            let by_level = by_level.map(|error| SINGLE_MARGIN * error);
             let of_line = EchoError {
                 mean,
-                window,
-                by_level: [window; LEVELS],
-                most: onsets * line.error_of(array, self.line_motion()),
+                window: by_level.into_iter().fold(0.0, f64::max),
+                by_level,
+                most: [onsets, ONSETS_OF_LINES]
+                    .map(|factor| factor * line.error_of(array, self.line_motion())),
                 accelerated: [0.0; 2],
-                spread: 0.0,
+                spread: line.spread_error(),
             };
             error = error.max(known.unwrap_or(of_line.before_ping(fading, accelerated_m_per_s2)));
             echo_error = match known {
@@ -904,7 +904,7 @@ impl<'a> CandidateBuilder<'a> {
                 mean: one.mean_error(),
                 window: (SINGLE_MARGIN * one.single_echo_error()).min(KEPT_BY_ONE * tolerance),
                 by_level: one.single_echo_errors().map(|error| SINGLE_MARGIN * error),
-                most: f64::INFINITY,
+                most: [f64::INFINITY; 2],
                 accelerated: [
                     curved / (most_per_s * c).max(f64::MIN_POSITIVE),
                     SINGLE_MARGIN * curved,

@@ -736,7 +736,7 @@ fn the_line_engine_reports_its_error_model_or_what_it_refuses() {
     assert_eq!(
         refused.map(|why| why.to_string()).as_deref(),
         Some(
-            "sonar.model.synthesis = \"gridded-lines\": tolerance 1e-4 is below its minimum of 2e-4"
+            "sonar.model.synthesis = \"gridded-lines\": tolerance 1e-4 is below its minimum of 3e-4"
         )
     );
     let mixed = multibeam("path = \"k-segment\"\nsynthesis = \"gridded-lines\"", 1);

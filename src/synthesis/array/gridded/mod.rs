@@ -33,6 +33,7 @@ pub mod transform;
 pub use cost_estimate::CostEstimate;
 pub use doppler::DopplerSpan;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};
+pub(crate) use single_echo::Windows;
 pub use single_echo::{LEVELS, level_of};
 
 use rayon::prelude::*;

@@ -120,14 +120,14 @@ pub(super) struct SingleEcho {
 
 /// The windows that a spectrum's signal is looked at in.
 #[derive(Clone, Copy)]
-struct Windows {
+pub(crate) struct Windows {
     /// Samples of a window, and instants per sample at which one may begin.
-    samples: usize,
-    instants: usize,
+    pub samples: usize,
+    pub instants: usize,
     /// Instants for each of the spectrum's own.
-    finer: usize,
+    pub finer: usize,
     /// Energy of the noise in a window relative to the strongest window.
-    noise: f64,
+    pub noise: f64,
 }
 
 impl Windows {
@@ -141,7 +141,7 @@ impl Windows {
         energies(spectrum, self.samples, self.instants)
     }
 
-    fn levels(&self, spectrum: &[Complex64]) -> Levels {
+    pub(crate) fn levels(&self, spectrum: &[Complex64]) -> Levels {
         let mut energies = self.energies(spectrum.to_vec());
         let strongest = energies.iter().copied().fold(0.0, f64::max);
         let steps = energies.iter_mut().map(|energy| {
@@ -154,13 +154,13 @@ impl Windows {
     }
 
     /// Errors of an echo, the spectrum `rest`, with these levels.
-    fn errors(&self, rest: Vec<Complex64>, levels: &Levels) -> [f64; LEVELS] {
+    pub(crate) fn errors(&self, rest: Vec<Complex64>, levels: &Levels) -> [f64; LEVELS] {
         levels.errors(&self.energies(rest))
     }
 }
 
 /// Energies of an echo in all windows. The energy of the noise is the minimum.
-struct Levels {
+pub(crate) struct Levels {
     energies: Vec<f64>,
     /// As in [`level_of`].
     steps: Vec<u8>,

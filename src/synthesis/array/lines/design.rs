@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::Decimator;
-use crate::array::gridded::CostEstimate;
 use crate::array::gridded::pulse_spectrum::PulseSpectrum;
 use crate::array::gridded::transform::grid_size;
+use crate::array::gridded::{CostEstimate, LEVELS};
 use crate::error_model::ErrorModel;
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::DopplerModel;
@@ -23,7 +23,9 @@ use super::nodes::{
     COARSE, NODES, NodeCounts, coarse, gain_error, interpolation_errors_m, places, spreading_error,
 };
 use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
-use super::windows::{KernelErrors, MORE, SingleEcho, noise_factor, worst, worst_of_even};
+use super::windows::{
+    ErrorsByLevel, KernelErrors, MORE, SPREAD, SingleEcho, noise_factor, worst, worst_of_even,
+};
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use: so much, and up to the second where the nearest scatterers ask for it.
 const PATH_SHARES: [f64; 2] = [0.1, 0.4];
@@ -43,8 +45,9 @@ const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
 const FLANK: f64 = 3.0;
 /// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of a single echo.
 const FLATNESS: [f64; 2] = [1.0, 0.5];
-/// Smallest supported tolerance. The kernels tried do not reach it with short pulses of sharp ends.
-pub const MIN_TOLERANCE: f64 = 2e-4;
+/// Smallest supported tolerance. The kernels tried do not reach it with short pulses of sharp ends. Below it, rounding in f32 has been 2.0e-4 by itself, in
+/// the window before the first echo, with the strongest one close behind.
+pub const MIN_TOLERANCE: f64 = 3e-4;
 /// Kernels and grids to try: rows, and rows per sample as a fraction.
 const WIDTHS: [usize; 7] = [2, 3, 4, 5, 6, 7, 8];
 const DENSITIES: [(usize, usize); 4] = [(1, 1), (5, 4), (3, 2), (2, 1)];
@@ -183,6 +186,8 @@ pub struct Design {
     parts: ErrorParts,
     /// An echo at rest with the errors of the kernel; none with Doppler, and before the sizes are selected.
     echo: Option<Arc<EchoProfile>>,
+    /// Of an echo alone.
+    by_level: ErrorsByLevel,
     effort: Effort,
 }
 
@@ -190,9 +195,8 @@ pub struct Design {
 #[derive(Clone, Copy, Debug)]
 struct ErrorParts {
     kernel: f64,
-    /// Of a single echo: rms, and in its worst window; and how far from its middle its windows reach, half pulses.
-    kernel_of_echo: [f64; 2],
-    reach_of_echo: f64,
+    /// Of a single echo, rms.
+    kernel_of_echo: f64,
     columns: f64,
     /// Of echoes with a Doppler beyond all columns.
     beyond: f64,
@@ -378,15 +382,6 @@ fn rounded_up(value: f64) -> f64 {
 /// Least-squares errors of so many columns are like the Legendre polynomial of that degree: at the ends of an echo so many times their rms.
 fn end_of_columns(taps: usize) -> f64 {
     (2.0 * taps as f64 + 1.0).sqrt()
-}
-
-/// Legendre polynomial, by the recursion of Bonnet.
-fn legendre(degree: usize, x: f64) -> f64 {
-    let next = |(before, at): (f64, f64), n: usize| {
-        let n = n as f64;
-        (at, ((2.0 * n + 1.0) * x * at - n * before) / (n + 1.0))
-    };
-    (0..degree).fold((0.0, 1.0), next).1
 }
 
 /// Stretch of an echo that closes at this speed on both ways.
@@ -599,8 +594,7 @@ impl Design {
         let curvature_room = tolerance * CURVATURE_SHARE.sqrt();
         let no_kernel = ErrorParts {
             kernel: 0.0,
-            kernel_of_echo: [0.0; 2],
-            reach_of_echo: single_echo.reach,
+            kernel_of_echo: 0.0,
             columns: 0.0,
             beyond: beyond_error,
             fading,
@@ -714,7 +708,7 @@ impl Design {
                 // What the others leave of the tolerance.
                 let parts = ErrorParts {
                     kernel: kernel_error,
-                    kernel_of_echo: [of_echo.rms, of_echo.alone],
+                    kernel_of_echo: of_echo.rms,
                     columns: of_columns(columns),
                     curvature_room: (tolerance * tolerance - others * others).max(0.0).sqrt(),
                     ..no_kernel
@@ -751,6 +745,7 @@ impl Design {
                     },
                     parts,
                     echo: None,
+                    by_level: ErrorsByLevel::default(),
                     effort: effort(columns),
                 });
             }
@@ -760,6 +755,7 @@ impl Design {
             least: rounded_up(finest),
         })?;
         let per_sample = best.slab_rows as f64 / best.slab_samples as f64;
+        best.by_level = single_echo.by_level(&best.kernel, per_sample, &best.columns);
         best.echo = (!moving).then(|| Arc::new(single_echo.profile(&best.kernel, per_sample)));
         Ok(best)
     }
@@ -782,8 +778,9 @@ impl Design {
             .fold(0.0, f64::hypot)
     }
 
-    /// Predicted errors of a single echo of such a ping: rms over the echo and its places on the grid, and in its worst window.
-    pub fn echo_errors(&self, array: &ArrayGeometry, motion: LineMotion) -> [f64; 2] {
+    /// Predicted errors of a single echo of such a ping: rms over the echo and its places on the grid, and in windows whose levels below the strongest
+    /// are those of [`level_of`](crate::array::gridded::level_of).
+    pub fn echo_errors(&self, array: &ArrayGeometry, motion: LineMotion) -> (f64, [f64; LEVELS]) {
         let [path, beyond, curvature_per_s] = self.of_motion(array, motion);
         let curvature_rad = self.parts.curvature_rad_s * curvature_per_s;
         let [first, second] = self.parts.curvature_of_echo(&self.columns);
@@ -792,28 +789,31 @@ impl Design {
             true => self.straight_rad,
             false => 0.0,
         };
-        // Beyond the ends of the pulse, where the filter answers before and after it, they grow as polynomials do.
-        let reach = self.parts.reach_of_echo;
-        let beyond_end = legendre(self.columns.taps, reach);
-        let of_columns = self.columns.error;
+        let of = &self.by_level;
         let evens = [
-            (of_columns, beyond_end * end_of_columns(self.columns.taps)),
-            (first.0 * curvature_rad, beyond_end * first.1),
+            ((first.0 * curvature_rad, first.1), &of.legendre),
             (
-                second.0 * curvature_rad * curvature_rad,
-                reach.powi(4) * second.1,
+                (second.0 * curvature_rad * curvature_rad, second.1),
+                &of.fourth,
             ),
-            (straight / 5f64.sqrt(), reach * reach * 5f64.sqrt()),
+            ((straight / 5f64.sqrt(), 5f64.sqrt()), &of.square),
         ];
-        let [rms, worst] = self.parts.kernel_of_echo;
         let others = path.hypot(beyond);
         let rms = evens
             .iter()
-            .fold(rms.hypot(others), |sum, (rms, _)| sum.hypot(*rms));
-        let worst = evens
-            .iter()
-            .fold(worst.hypot(others), |sum, (rms, end)| sum.hypot(rms * end));
-        [MORE * rms, worst]
+            .fold(self.parts.kernel_of_echo, |sum, ((rms, _), _)| {
+                sum.hypot(*rms)
+            });
+        let rms = rms.hypot(self.columns.error);
+        let by_level = std::array::from_fn(|level| {
+            // At an end of the pulse these may have the same phase.
+            let all = evens
+                .iter()
+                .map(|((rms, end), grown)| rms * (end * grown[level]).max(1.0));
+            let grown = of.columns[level] + all.sum::<f64>();
+            grown.hypot(of.kernel[level]).hypot(others)
+        });
+        (MORE * rms.hypot(others), by_level)
     }
 
     /// Errors of a ping with this motion, by the interpolation along the line and by Dopplers beyond all columns, and its curvature, per second.
@@ -836,6 +836,11 @@ impl Design {
             false => of_design,
         };
         [path, beyond, curvature_per_s]
+    }
+
+    /// Rounding errors, which spread over the record, relative to the noise floor. The others leave them out.
+    pub fn spread_error(&self) -> f64 {
+        SPREAD
     }
 
     /// An echo with its error, apart from that of the interpolation along the line ([`Self::phase_errors`]), of a design without Doppler; none of

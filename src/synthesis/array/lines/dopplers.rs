@@ -34,6 +34,8 @@ pub(super) struct Columns {
     pub taps: usize,
     /// Phase at the ends of the pulse between neighbouring columns, radians.
     pub turn_rad: f64,
+    /// The same of the highest frequency, which the weights are fitted to.
+    pub end_rad: f64,
     /// rms error of echoes at all places between columns.
     pub error: f64,
     /// `[tap][power]` of the distance from the middle of the taps, -1/2..1/2.
@@ -207,6 +209,7 @@ impl Columns {
         Self {
             taps: 1,
             turn_rad: 0.0,
+            end_rad: 0.0,
             error: 0.0,
             weights,
             curvature: CurvatureFit::NONE,
@@ -233,6 +236,7 @@ impl Columns {
         Self {
             taps,
             turn_rad,
+            end_rad,
             error: error(taps, end_rad),
             weights: polynomials(taps, |x| fit(taps, end_rad, x).0),
             curvature: match taps > 2 && band.models_curvature {
@@ -240,6 +244,15 @@ impl Columns {
                 false => CurvatureFit::NONE,
             },
         }
+    }
+
+    /// Places of the columns, steps from the middle of the taps, with their weights for an echo at `x` from there.
+    pub(super) fn weights_at(&self, x: f64) -> Vec<(f64, f64)> {
+        let weight =
+            |terms: &[f64; WEIGHT_TERMS]| terms.iter().rev().fold(0.0, |sum, c| sum * x + c);
+        let taps = self.weights[..self.taps].iter().enumerate();
+        taps.map(|(k, terms)| (place(self.taps, k), weight(terms)))
+            .collect()
     }
 }
 
@@ -286,12 +299,11 @@ mod tests {
                 let (mut off, mut count) = (0.0, 0.0);
                 for place in 0..40 {
                     let x = f64::from(place) / 39.0 - 0.5;
+                    let weights = columns.weights_at(x);
                     for w in 0..200 {
                         let w = (f64::from(w) + 0.5) / 100.0 - 1.0;
                         let (mut re, mut im) = (0.0, 0.0);
-                        for (k, weights) in columns.weights[..taps].iter().enumerate() {
-                            let weight = weights.iter().rev().fold(0.0, |sum, c| sum * x + c);
-                            let at = k as f64 - 0.5 * (taps as f64 - 1.0);
+                        for (at, weight) in &weights {
                             let phase = at * columns.turn_rad * w;
                             re += weight * phase.cos();
                             im += weight * phase.sin();

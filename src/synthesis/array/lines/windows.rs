@@ -18,8 +18,10 @@ use num_complex::Complex64;
 use crate::array::echo_profile::EchoProfile;
 use crate::array::filter::Decimator;
 use crate::array::gridded::pulse_spectrum::PulseSpectrum;
+use crate::array::gridded::{LEVELS, Windows};
 
 use super::design::Spec;
+use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{BAND, Kernel};
 
 /// The noise lies this far below the strongest window, as energy.
@@ -30,8 +32,17 @@ const SURE: f64 = 0.125;
 const PLACES: usize = 12;
 /// Several echoes in one window, and echoes that change (motion, patterns).
 pub(super) const MORE: f64 = 1.3;
+/// Instants of a sample at which windows of an echo alone may begin, over the two of its spectrum: behind the receiver filter, a window with the first
+/// samples of an echo may be weak at one place between two samples, and twice as strong beside it.
+const FINER: usize = 4;
+/// Places between two columns that are looked at. The pulse is symmetric, or its mirror image is its conjugate.
+const BETWEEN_COLUMNS: [f64; 3] = [0.0, 0.25, 0.5];
+/// Powers of the distance from the middle of the pulse.
+const POWERS: usize = MAX_TAPS;
 /// Rounding errors of the transforms over a slab, relative to the strongest echo.
 const ROUNDING: f64 = 1e-7;
+/// ... and to the noise: 1e-7 over the root of 3.162e-6.
+pub(super) const SPREAD: f64 = 5.6e-5;
 
 /// Errors of a kernel.
 #[derive(Clone, Copy, Debug)]
@@ -40,29 +51,41 @@ pub(super) struct KernelErrors {
     pub rms: f64,
     /// In the worst window of an echo alone, or at the beginning or the end of many.
     pub edges: f64,
-    /// In the worst window of an echo alone in the ping.
-    pub alone: f64,
+}
+
+/// Errors of an echo alone in the ping, in windows whose levels below the strongest are those of [`level_of`](crate::array::gridded::level_of).
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ErrorsByLevel {
+    pub kernel: [f64; LEVELS],
+    pub columns: [f64; LEVELS],
+    /// Of errors that are the pulse times the Legendre polynomial of as many columns, the fourth power of the distance from its middle, and its square:
+    /// 1 at the ends of the pulse.
+    pub legendre: [f64; LEVELS],
+    pub fourth: [f64; LEVELS],
+    pub square: [f64; LEVELS],
 }
 
 /// An echo alone behind the receiver filter.
 pub(super) struct SingleEcho {
     /// Frequencies -1..1, cycles per sample, with the spectrum there; entry k folds to bin k of `size`.
     spectrum: Vec<(f64, Complex64)>,
+    /// Gains of the filter at these, with the sign that delays the echo by half a period.
+    gains: Vec<f64>,
     size: usize,
+    /// Without the filter, at frequencies that Dopplers shift.
+    pulse: PulseSpectrum,
+    rate_hz: f64,
     inverse: Arc<dyn Fft<f64>>,
     /// Length of a window, samples.
     window: usize,
     /// Energy by window, of which the noise is the least that counts.
     level: Vec<f64>,
     noise: f64,
-    /// Noise below an echo alone in the ping.
-    noise_of_one: f64,
     /// Noise below a dense succession of echoes, one per sample.
     noise_of_many: f64,
     energy: f64,
-    /// Half pulses from the middle of an echo alone in the ping to the last sample of the first window with more than the noise: behind the receiver
-    /// filter, windows before the onset hold the filter's answer.
-    pub(super) reach: f64,
+    /// Half a pulse, samples.
+    half: f64,
     /// Independent values of a window.
     free: usize,
 }
@@ -135,15 +158,19 @@ impl SingleEcho {
         let (sounding, window) = lengths(spec);
         let reach = (filter.half_s() * rate_hz).ceil() as usize;
         let size = (sounding + 2 * (reach + window + 16)).next_power_of_two();
-        let pulse = PulseSpectrum::new(spec.pulse, rate_hz + 1.0);
-        let spectrum: Vec<(f64, Complex64)> = (0..2 * size)
-            .map(|k| {
-                let nu = k as f64 / size as f64 - if k >= size { 2.0 } else { 0.0 };
-                let gain = filter.gain(nu * rate_hz);
-                // From the beginning of the pulse to its middle half a period later.
-                let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
-                (nu, pulse.at(nu * rate_hz) * (sign * gain))
-            })
+        let shift_hz = MAX_TAPS as f64 / spec.pulse.duration_s;
+        let pulse = PulseSpectrum::with_powers(spec.pulse, rate_hz + shift_hz, POWERS);
+        let frequency = |k: usize| k as f64 / size as f64 - if k >= size { 2.0 } else { 0.0 };
+        let gain = |k: usize| {
+            // From the beginning of the pulse to its middle half a period later.
+            let sign = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
+            sign * filter.gain(frequency(k) * rate_hz)
+        };
+        let gains: Vec<f64> = (0..2 * size).map(gain).collect();
+        let spectrum: Vec<(f64, Complex64)> = gains
+            .iter()
+            .enumerate()
+            .map(|(k, gain)| (frequency(k), pulse.at(frequency(k) * rate_hz) * gain))
             .collect();
         let inverse = f64::plan_inverse(size);
         let mut samples = vec![Complex64::ZERO; size];
@@ -153,27 +180,20 @@ impl SingleEcho {
         inverse.process(&mut samples);
         let level = windowed(&samples, window);
         let greatest = level.iter().copied().fold(0.0, f64::max);
-        let noise_of_one = greatest * NOISE;
         let energy = samples.iter().map(|x| x.norm_sqr()).sum::<f64>();
-        let moment = samples
-            .iter()
-            .zip(0..)
-            .map(|(x, k)| f64::from(k) * x.norm_sqr());
-        let middle = moment.sum::<f64>() / energy;
-        let heard = level.iter().position(|level| *level > noise_of_one);
-        let last = (heard.unwrap_or(0) + window - 1) as f64;
-        let reach = (middle - last) / (0.5 * spec.pulse.duration_s * rate_hz);
         let free =
             window as f64 / rate_hz * spec.pulse.bandwidth_hz.max(1.0 / spec.pulse.duration_s);
         Self {
             energy,
-            reach: reach.max(1.0),
+            half: 0.5 * spec.pulse.duration_s * rate_hz,
             spectrum,
+            gains,
             size,
+            pulse,
+            rate_hz,
             inverse,
             window,
-            noise: noise_of_one * noise_factor(spec),
-            noise_of_one,
+            noise: greatest * NOISE * noise_factor(spec),
             noise_of_many: NOISE * level.iter().sum::<f64>(),
             level,
             free: free.round() as usize + 1,
@@ -256,7 +276,7 @@ impl SingleEcho {
     /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample.
     pub(super) fn errors(&self, kernel: &Kernel, per_sample: f64) -> KernelErrors {
         let off_at = self.off_at(kernel, per_sample);
-        let (mut energy, mut worst, mut alone) = (0.0, 0.0f64, 0.0f64);
+        let (mut energy, mut worst) = (0.0, 0.0f64);
         for place in 0..PLACES {
             let mut off = vec![Complex64::ZERO; self.size];
             for (k, values) in off_at.iter().enumerate() {
@@ -268,7 +288,6 @@ impl SingleEcho {
             let both = || off.iter().zip(&self.level);
             for (off, level) in both() {
                 worst = worst.max(off / level.max(self.noise));
-                alone = alone.max(off / level.max(self.noise_of_one));
             }
             // Windows that the first or the last of many echoes reach: those from any place on, before or after.
             let mut of_many = |pair: &mut dyn Iterator<Item = (&f64, &f64)>| {
@@ -285,7 +304,73 @@ impl SingleEcho {
         KernelErrors {
             rms: (energy / self.energy).sqrt(),
             edges: worst.sqrt(),
-            alone: alone.sqrt(),
+        }
+    }
+
+    /// Errors of an echo alone that is spread with `kernel` on a grid of `per_sample` rows a sample, to `columns`.
+    pub(super) fn by_level(
+        &self,
+        kernel: &Kernel,
+        per_sample: f64,
+        columns: &Columns,
+    ) -> ErrorsByLevel {
+        let windows = Windows {
+            samples: self.window,
+            instants: 2 * FINER,
+            finer: FINER,
+            noise: NOISE,
+        };
+        let signal = self.spectrum.iter().map(|(_, value)| *value);
+        let levels = windows.levels(&signal.collect::<Vec<_>>());
+        let worst = |errors: &mut dyn Iterator<Item = [f64; LEVELS]>| {
+            errors.fold([0.0f64; LEVELS], |worst, errors| {
+                std::array::from_fn(|level| worst[level].max(errors[level]))
+            })
+        };
+        let off_at = self.off_at(kernel, per_sample);
+        let of_kernel = worst(&mut (0..PLACES).map(|place| {
+            let off = off_at.iter().map(|values| values[place]).collect();
+            windows.errors(off, &levels)
+        }));
+        if columns.taps == 1 {
+            return ErrorsByLevel {
+                kernel: of_kernel,
+                ..Default::default()
+            };
+        }
+        // Of the pulse times something, behind the filter.
+        let filtered = |of: &dyn Fn(f64) -> Complex64| {
+            let bins = self.spectrum.iter().zip(&self.gains);
+            let off = bins.map(|((nu, _), gain)| of(nu * self.rate_hz) * gain);
+            windows.errors(off.collect(), &levels)
+        };
+        let of_columns = |x: f64| {
+            let taps = columns.weights_at(x);
+            // A Doppler is as a shift of the pulse's narrow band.
+            let shift_hz = columns.end_rad * self.rate_hz / (TAU * self.half);
+            filtered(&|f_hz| {
+                let fitted = taps
+                    .iter()
+                    .map(|(place, weight)| self.pulse.at(f_hz - place * shift_hz) * *weight);
+                fitted.sum::<Complex64>() - self.pulse.at(f_hz - x * shift_hz)
+            })
+        };
+        let power = |f_hz: f64, factors: [f64; POWERS + 1]| {
+            let mut of_powers = [Complex64::ZERO; POWERS + 1];
+            self.pulse.powers_at(f_hz, &mut of_powers);
+            of_powers.iter().zip(factors).map(|(a, b)| a * b).sum()
+        };
+        let legendre = match columns.taps {
+            2 => [-0.5, 0.0, 1.5, 0.0, 0.0],
+            3 => [0.0, -1.5, 0.0, 2.5, 0.0],
+            _ => [0.375, 0.0, -3.75, 0.0, 4.375],
+        };
+        ErrorsByLevel {
+            kernel: of_kernel,
+            columns: worst(&mut BETWEEN_COLUMNS.into_iter().map(of_columns)),
+            legendre: filtered(&|f_hz| power(f_hz, legendre)),
+            fourth: filtered(&|f_hz| power(f_hz, [0.0, 0.0, 0.0, 0.0, 1.0])),
+            square: filtered(&|f_hz| power(f_hz, [0.0, 0.0, 1.0, 0.0, 0.0])),
         }
     }
 }
