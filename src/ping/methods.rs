@@ -204,11 +204,15 @@ impl Candidate {
     pub fn error(&self) -> f64 {
         let of = |family: Family| self.part(family).error;
         let phase = of(Family::Path) + of(Family::Doppler);
+        phase.hypot(self.error_of_others())
+    }
+    /// Of all but path and Doppler.
+    fn error_of_others(&self) -> f64 {
         let others = self
             .parts
             .iter()
             .filter(|part| !matches!(part.family, Family::Path | Family::Doppler));
-        others.fold(phase, |sum, part| sum.hypot(part.error))
+        others.fold(0.0, |sum, part| sum.hypot(part.error))
     }
     /// Cost estimate, milliseconds of one core.
     pub fn cost_ms(&self) -> f64 {
@@ -287,9 +291,12 @@ pub struct Ranking {
 
 /// Where nothing is within the goal, what errs by no more than this times the least is as good.
 const NEAR: f64 = 1.25;
+/// An echo with this error or more is wrong as a whole.
+const WHOLE: f64 = 1.0;
 
-/// The cheapest candidate within the goal that is not barred; where there is none, the cheapest of those that miss it by the least. None where
-/// all are barred.
+/// The cheapest candidate within the goal that is not barred; where there is none, the cheapest of those that miss it by the least. Where these have some
+/// echo wrong as a whole, cheaper models would be no worse for it and much worse for all others: of those that model the motion best, the cheapest
+/// that keeps the tolerance in all else. None where all are barred.
 pub fn choose(
     goal: Goal,
     mut candidates: Vec<Candidate>,
@@ -309,8 +316,21 @@ pub fn choose(
         None => {
             let shares = candidates.iter().filter(|c| may(c)).map(|c| goal.share(c));
             let least = shares.min_by(f64::total_cmp)?;
-            let near = |c: &Candidate| may(c) && goal.share(c) <= NEAR * least;
-            candidates.iter().position(near)?
+            let near = |c: &&Candidate| may(c) && goal.share(c) <= NEAR * least;
+            let errors = candidates.iter().filter(near).map(Candidate::error);
+            let is_whole = errors.fold(f64::INFINITY, f64::min) >= WHOLE;
+            let fullest = candidates
+                .iter()
+                .filter(near)
+                .map(Candidate::modelled)
+                .max()
+                .filter(|_| is_whole && goal.image_cells.is_none());
+            let full = |c: &&Candidate| near(c) && fullest.is_none_or(|of| c.modelled() == of);
+            let others = |c: &&Candidate| full(c) && c.error_of_others() <= goal.tolerance;
+            let place = |of: &dyn Fn(&&Candidate) -> bool| candidates.iter().position(|c| of(&c));
+            fullest
+                .and_then(|_| place(&others))
+                .or_else(|| place(&full))?
         }
     };
     Some(Ranking {
@@ -573,6 +593,32 @@ mod tests {
         let middle = at(1e-3);
         assert_eq!(middle.next_cheaper().unwrap().error(), 1e-2);
         assert_eq!(middle.next_costlier().unwrap().error(), 5e-4);
+    }
+
+    /// Of three that have an echo of the opposite sign, the one with the fullest models and a good sum.
+    #[test]
+    fn an_echo_that_is_wrong_as_a_whole_spoils_no_other() {
+        let with = |path: PathModel, of_sum: f64, cost_ms: f64| {
+            let mut candidate = candidate(2.0, cost_ms);
+            candidate.choice.model.path = path;
+            candidate.parts[Family::Sum as usize].error = of_sum;
+            candidate
+        };
+        let all = [
+            with(PathModel::StopAndHop, 1e-3, 1.0),
+            with(PathModel::Continuous, 0.5, 2.0),
+            with(PathModel::Continuous, 1e-3, 3.0),
+            with(PathModel::Continuous, 1e-4, 4.0),
+        ];
+        let chosen = |candidates: &[Candidate]| {
+            let ranking = choose(goal(1e-2), candidates.to_vec(), Vec::new(), &[]).unwrap();
+            ranking.chosen().cost_ms()
+        };
+        assert!((chosen(&all) - 3.0).abs() < 1e-12);
+        assert!((chosen(&all[..2]) - 2.0).abs() < 1e-12);
+        // What errs by a tenth is not spoilt, and the cheapest is as good.
+        let right = [candidate(0.1, 1.0), candidate(0.09, 2.0)];
+        assert!((chosen(&right) - 1.0).abs() < 1e-12);
     }
 
     #[test]
