@@ -208,7 +208,7 @@ table! {
     doppler: Choice("none", "stretch", "stretch-quadratic", "paper-eq21", "auto"; later "common", "rank-r"), Default("\"auto\"");
 
     /// "reference": solves the travel time of every sample on the continuous motion (slow; ignores path and doppler). "direct": sums linearised
-    /// echoes. "gridded-1d": the same within tolerance, faster. "gridded-lines": for line arrays and short pulses, with tolerances from 2e-4 on.
+    /// echoes. "gridded-1d": the same within tolerance, faster. "gridded-lines": for line arrays and short pulses, with tolerances from 3e-4 on.
     /// "gridded-2d": for line arrays, long pulses and many scatterers. Both need the receiver filter. The three take any doppler but
     /// "paper-eq21". For comparison, with doppler "none" or "paper-eq21": "spectral" (the sum over frequency of Meng et al. 2023), "nearest" and
     /// "linear" (a sampled pulse is added).
