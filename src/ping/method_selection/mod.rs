@@ -87,9 +87,8 @@ const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// `gridded-lines` predicts its error in the worst window of many echoes. In windows with the onset of a single echo, 50 dB below the strongest, 2.5
-/// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`), and 2.3 times where the first few of many cancel: errors over Doppler are
-/// alike in echoes of the same motion, and cancel with them. Where many echoes sound together, random rigs over seabeds had up to 1.5 times that
-/// (`tools/accuracy rigs`).
+/// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`), and 2.3 times where the first few of many cancel.
+/// Where many echoes sound together, random rigs over seabeds had up to 1.5 times that (`tools/accuracy rigs`).
 const ONSETS_OF_LINES: f64 = 2.6;
 const MANY_ON_LINES: f64 = 1.6;
 /// Many are so many echoes that begin in a window, on the average. With 36, the windows before the bottom held so few that 2.4 times the design's error was
