@@ -316,21 +316,19 @@ pub fn choose(
         None => {
             let shares = candidates.iter().filter(|c| may(c)).map(|c| goal.share(c));
             let least = shares.min_by(f64::total_cmp)?;
-            let near = |c: &&Candidate| may(c) && goal.share(c) <= NEAR * least;
-            let errors = candidates.iter().filter(near).map(Candidate::error);
-            let is_whole = errors.fold(f64::INFINITY, f64::min) >= WHOLE;
-            let fullest = candidates
-                .iter()
-                .filter(near)
-                .map(Candidate::modelled)
-                .max()
-                .filter(|_| is_whole && goal.image_cells.is_none());
-            let full = |c: &&Candidate| near(c) && fullest.is_none_or(|of| c.modelled() == of);
-            let others = |c: &&Candidate| full(c) && c.error_of_others() <= goal.tolerance;
-            let place = |of: &dyn Fn(&&Candidate) -> bool| candidates.iter().position(|c| of(&c));
-            fullest
-                .and_then(|_| place(&others))
-                .or_else(|| place(&full))?
+            let near = |c: &Candidate| may(c) && goal.share(c) <= NEAR * least;
+            let all_near = || candidates.iter().filter(|c| near(c));
+            let first = candidates.iter().position(near)?;
+            match goal.image_cells.is_none() && all_near().all(|c| c.error() >= WHOLE) {
+                false => first,
+                true => {
+                    let fullest = all_near().map(Candidate::modelled).max();
+                    let full = |c: &Candidate| near(c) && Some(c.modelled()) == fullest;
+                    let good = |c: &Candidate| full(c) && c.error_of_others() <= goal.tolerance;
+                    let good = candidates.iter().position(good);
+                    good.or_else(|| candidates.iter().position(full))?
+                }
+            }
         }
     };
     Some(Ranking {

@@ -24,7 +24,8 @@ use super::nodes::{
 };
 use super::spread::{LANES, NARROW, QUARTER, cell_lanes, lanes_for};
 use super::windows::{
-    ErrorsByLevel, KernelErrors, MORE, SPREAD, SingleEcho, noise_factor, worst, worst_of_even,
+    ErrorsByLevel, KernelErrors, MORE, SingleEcho, noise_factor, rounding_over_noise, worst,
+    worst_of_even,
 };
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use: so much, and up to the second where the nearest scatterers ask for it.
@@ -45,8 +46,8 @@ const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
 const FLANK: f64 = 3.0;
 /// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of a single echo.
 const FLATNESS: [f64; 2] = [1.0, 0.5];
-/// Smallest supported tolerance. The kernels tried do not reach it with short pulses of sharp ends. Below it, rounding in f32 has been 2.0e-4 by itself, in
-/// the window before the first echo, with the strongest one close behind.
+/// Smallest supported tolerance. The kernels tried do not reach it with short pulses of sharp ends. Designs for 2e-4 to
+/// 5e-4 have all left 2.0e-4 before the first echo, with the strongest one close behind.
 pub const MIN_TOLERANCE: f64 = 3e-4;
 /// Kernels and grids to try: rows, and rows per sample as a fraction.
 const WIDTHS: [usize; 7] = [2, 3, 4, 5, 6, 7, 8];
@@ -840,7 +841,7 @@ impl Design {
 
     /// Rounding errors, which spread over the record, relative to the noise floor. The others leave them out.
     pub fn spread_error(&self) -> f64 {
-        SPREAD
+        rounding_over_noise()
     }
 
     /// An echo with its error, apart from that of the interpolation along the line ([`Self::phase_errors`]), of a design without Doppler; none of

@@ -41,8 +41,11 @@ const BETWEEN_COLUMNS: [f64; 3] = [0.0, 0.25, 0.5];
 const POWERS: usize = MAX_TAPS;
 /// Rounding errors of the transforms over a slab, relative to the strongest echo.
 const ROUNDING: f64 = 1e-7;
-/// ... and to the noise: 1e-7 over the root of 3.162e-6.
-pub(super) const SPREAD: f64 = 5.6e-5;
+
+/// ... and to the noise below it.
+pub(super) fn rounding_over_noise() -> f64 {
+    ROUNDING / NOISE.sqrt()
+}
 
 /// Errors of a kernel.
 #[derive(Clone, Copy, Debug)]
