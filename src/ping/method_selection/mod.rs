@@ -873,14 +873,14 @@ impl<'a> CandidateBuilder<'a> {
                 Some(resting.error(index, echo, &phase_errors))
             };
             let known = self.is_at_rest().then(at_rest).flatten();
+            let of_design = line.error_of(array, self.line_motion());
             let (mean, by_level) = line.echo_errors(array, self.line_motion());
             let by_level = by_level.map(|error| SINGLE_MARGIN * error);
             let of_line = EchoError {
                 mean,
                 window: by_level.into_iter().fold(0.0, f64::max),
                 by_level,
-                most: [onsets, ONSETS_OF_LINES]
-                    .map(|factor| factor * line.error_of(array, self.line_motion())),
+                most: [onsets * of_design, ONSETS_OF_LINES * of_design],
                 accelerated: [0.0; 2],
                 spread: line.spread_error(),
             };
